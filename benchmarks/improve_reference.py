@@ -16,7 +16,7 @@ from quadjax.config.schema import Config
 from quadjax.core.files import write_json
 from quadjax.fitting.config import load_fit_config
 from quadjax.fitting.flight_log import read_log
-from quadjax.fitting.pipeline import run_fit
+from quadjax.fitting.fit import fit as fit_drone
 from quadjax.fitting.report import write_results
 from quadjax.improve.model import Model
 from quadjax.improve.rounds import CHECK_SEED, fly_and_log, fly_checks, tune
@@ -77,7 +77,7 @@ def plant_model(setting: Setting, folder: Path) -> tuple[PlantModel, list[Path]]
         body=fit.body.replace(rpm_range=(true["rpm_min"], true["rpm_max"])),
         nominal=fit.nominal.replace(fit=False),
     )
-    write_results(run_fit(changed, Path(), print), folder)
+    write_results(fit_drone(changed, Path(), print), folder)
     battery = plant.battery if plant.effects.battery > 0 else None
     return PlantModel(true, str(folder / "residual.npz"), of_plant=battery), files
 

@@ -26,7 +26,7 @@ def fit(
     DIR/NAME gets vehicle.yaml (for vehicle.file=), residual.npz (for
     vehicle.residual=), report.txt, report.json, config.yaml and figures. The base
     vehicle's model is fitted: with a racing quadcopter (vehicle=5inch.yaml) its
-    motors and the constants of each rotor, without a residual or figures. Logs:
+    motors and the constants of each rotor, without a residual. Logs:
     CSV of Paparazzi, of a blackbox (Betaflight, INDIflight) and of the TII-RATM
     dataset, PX4's ULog, and your own columns or reader (logs.format).
 
@@ -35,28 +35,20 @@ def fit(
     started = time.monotonic()
     with loading():
         from quadjax.core.folders import results
+        from quadjax.fitting import fit as fits
         from quadjax.fitting.config import load_fit_config
         from quadjax.fitting.figures import write_figures
         from quadjax.fitting.flight_log import find_logs
-        from quadjax.fitting.pipeline import run_fit
-        from quadjax.fitting.racing_fit import MODEL, run_racing_fit
-        from quadjax.fitting.racing_report import racing_tables, write_racing_results
         from quadjax.fitting.report import PATTERNS, tables, write_results
-        from quadjax.vehicle.vehicle_file import read_vehicle
 
     path = find_config(config, "fit")
     settings = load_fit_config(path, [*overrides, *([f"name={name}"] if name else [])], allow_code)
     folder = output / settings.name
     find_logs(settings.logs, path.parent)  # before the folder is created
     with results(folder, "fit", PATTERNS, overwrite) as new, steps() as report:
-        vehicle = read_vehicle(settings.vehicle, path.parent)
-        if vehicle.model == MODEL:
-            quadcopter = run_racing_fit(settings, path.parent, vehicle, report)
-            written, text = write_racing_results(quadcopter, new), racing_tables(quadcopter)
-        else:
-            result = run_fit(settings, path.parent, report)
-            report("writing")
-            written, text = write_results(result, new), tables(result)
-            written += write_figures(result, new) if settings.figures else []
-    print(text)
+        result = fits.fit(settings, path.parent, report)
+        report("writing")
+        written = write_results(result, new)
+        written += write_figures(result, new) if settings.figures else []
+    print(tables(result))
     wrote(f"{len(written)} files to {folder}/ in {time.monotonic() - started:.1f} s")

@@ -121,13 +121,9 @@ class BodyConfig(Section):
 
 
 class PrepareConfig(Section):
-    """Filtering and trimming of the logs."""
+    """Filtering of the logs."""
 
     cutoff: Positive = Field(16.0, description="Hz, zero-phase second-order Butterworth")
-    airborne_fraction: NonNegative = Field(
-        0.5, description="fraction of the flight's median rpm, below which it is on the ground"
-    )
-    airborne_pause: NonNegative = Field(1.0, description="s below it that count as a landing")
 
 
 class NominalConfig(Section):
@@ -139,7 +135,6 @@ class NominalConfig(Section):
         max_length=6,
         description="axes whose constants are fitted",
     )
-    any_sign: bool = Field(False, description="accept constants of an impossible sign")
 
 
 class SplitConfig(Section):
@@ -149,10 +144,10 @@ class SplitConfig(Section):
         "auto", description="auto is flight for two or more flights"
     )
     test_flights: tuple[str, ...] = Field(
-        (), max_length=1000, description="not fitted, used only for residual.max_harm"
+        (), max_length=1000, description="not fitted and used for no choice, only predicted"
     )
     test_fraction: float = Field(
-        0.3, gt=0.0, lt=0.9, description="by time: the last part of each flight"
+        0.3, gt=0.0, lt=0.9, description="by time: the last part of each flight, not fitted"
     )
     folds: int = Field(5, ge=2, le=1000, description="largest number of groups or blocks")
     leave_one_out: bool = Field(True, description="repeat the fit without each flight")
@@ -162,30 +157,13 @@ class ResidualConfig(Section):
     """Training of the residual networks."""
 
     fit: bool = Field(True, description="false writes a vehicle without a residual")
-    hidden_thrust: int = Field(32, ge=1, le=4096, description="units of the thrust network")
-    hidden_moment: int = Field(32, ge=1, le=4096, description="units of the moment network")
     seeds: int = Field(5, ge=1, le=100, description="networks of an ensemble")
     epochs: int = Field(60, ge=1, le=10**5, description="passes over the data")
-    batch: int = Field(128, ge=1, le=10**6, description="samples in a step of the optimizer")
-    learning_rate: float = Field(3e-3, ge=1e-6, le=1.0, description="of Adam")
-    average: float = Field(0.99, ge=0.0, le=0.99999, description="decay of averaged weights")
-    decay: NonNegative = Field(1e-3, description="L2 penalty on the last layer")
-    noise: float = Field(
-        0.1, ge=0.0, le=10.0, description="input noise with mirroring, in standard deviations"
-    )
     mirror: Literal["auto", "on", "off"] = Field("auto", description="train on mirror images")
-    sample_rate: float = Field(50.0, ge=1.0, le=100_000, description="Hz, after thinning")
-    caution: NonNegative = Field(1.0, description="weight of the worst fold when shrinking")
-    min_gain: float = Field(
-        0.01, ge=0.0, le=1.0, description="least relative gain on held-out data"
-    )
     max_harm: NonNegative = Field(
-        0.1, description="largest relative increase of any held-out flight's error"
+        0.1, description="largest relative increase of any held-out fold's error"
     )
     distill_epochs: int = Field(120, ge=1, le=10**5, description="of the exported network")
-    margin: float = Field(
-        0.5, ge=0.0, le=10.0, description="range beyond the logs where the output stays constant"
-    )
 
 
 class FitConfig(Section):
@@ -194,7 +172,7 @@ class FitConfig(Section):
     name: FolderName = Field("fit", description="folder of results")
     vehicle: str = Field("bebop1.yaml", description="base vehicle, a file in configs/vehicles")
     seed: int = Field(0, ge=0, le=MAX_SEED, description="of everything random in the fit")
-    figures: bool = Field(True, description="draw figures, of the models with a residual")
+    figures: bool = Field(True, description="draw figures")
     logs: LogsConfig = LogsConfig()
     body: BodyConfig = BodyConfig()
     prepare: PrepareConfig = PrepareConfig()

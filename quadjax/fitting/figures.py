@@ -6,15 +6,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from quadjax.core.plotting import INK, SERIES, head, new_figure, save_figure, tidy
-from quadjax.fitting.nominal import AXES, UNITS
-from quadjax.fitting.pipeline import FitResult
+from quadjax.fitting.fit import Fit
+from quadjax.fitting.nominal import AXES, units
 from quadjax.fitting.prediction import Prediction, pooled
+from quadjax.fitting.split import ALL
 
 COLORS = {"nominal": SERIES[3], "nominal + residual": SERIES[0]}
 POINTS = 1500  # of a line, at most
 
 
-def write_figures(result: FitResult, folder: Path) -> list[Path]:
+def write_figures(result: Fit, folder: Path) -> list[Path]:
     """Write every figure; return the paths."""
     figures = {}
     for part in result.held_out:
@@ -31,7 +32,7 @@ def write_figures(result: FitResult, folder: Path) -> list[Path]:
     return [folder / f"{name}.png" for name in figures]
 
 
-def traces_figure(result: FitResult, part: Prediction, title: str = "") -> Figure:
+def traces_figure(result: Fit, part: Prediction, title: str = "") -> Figure:
     """Errors of the nominal model, and of it with the residual, against time; a panel per axis.
 
     The signals themselves differ by less than a line's width. Each panel has the RMSE of both.
@@ -49,11 +50,11 @@ def traces_figure(result: FitResult, part: Prediction, title: str = "") -> Figur
     jump = np.flatnonzero(np.abs(np.diff(time[::every])) > 0.5) + 1
     for i, (axis, axes) in enumerate(zip(AXES, panels, strict=True)):
         tidy(axes)
-        unit, sizes = UNITS[axis].replace("^2", "²"), []
-        for (label, color), model in zip(COLORS.items(), (part.nominal, part.full), strict=True):
+        unit, sizes = _unit(result, axis), []
+        for label, model in _models(result, part):
             error = part.measured[:, i] - model[:, i]
             line = (np.insert(x, jump, np.nan) for x in (time[::every], error[::every]))
-            axes.plot(*line, color=color, label=label, lw=0.9)
+            axes.plot(*line, color=COLORS[label], label=label, lw=0.9)
             sizes.append(f"{np.sqrt(np.mean(error**2)):.3g}")
         axes.axhline(0.0, color=INK, lw=0.8)
         axes.set_ylabel(f"{axis} ({unit})", color=INK)
@@ -64,7 +65,7 @@ def traces_figure(result: FitResult, part: Prediction, title: str = "") -> Figur
     return figure
 
 
-def errors_figure(result: FitResult) -> Figure:
+def errors_figure(result: Fit) -> Figure:
     """Histograms of both models' errors on training rows and, if any, on held-out rows."""
     sets = {"training": result.training}
     if result.held_out:
@@ -74,10 +75,8 @@ def errors_figure(result: FitResult) -> Figure:
     for row, (title, part) in zip(panels, sets.items(), strict=True):
         for i, (axis, axes) in enumerate(zip(AXES, row, strict=True)):
             tidy(axes)
-            errors = {
-                "nominal": part.measured[:, i] - part.nominal[:, i],
-                "nominal + residual": part.measured[:, i] - part.full[:, i],
-            }
+            models = _models(result, part)
+            errors = {label: part.measured[:, i] - model[:, i] for label, model in models}
             limit = max(float(np.percentile(np.abs(errors["nominal"]), 99.5)), 1e-12)
             bins = np.linspace(-limit, limit, 61)
             for label, error in errors.items():
@@ -85,8 +84,17 @@ def errors_figure(result: FitResult) -> Figure:
                     error, bins, histtype="step", density=True, label=label, color=COLORS[label]
                 )
             axes.set_yticks([])
-            axes.set_xlabel(f"error of {axis} ({UNITS[axis].replace('^2', '²')})", color=INK)
+            axes.set_xlabel(f"error of {axis} ({_unit(result, axis)})", color=INK)
         row[0].set_ylabel(title, color=INK)
     handles = panels[0, 0].get_legend_handles_labels()
     figure.legend(*handles, loc="outside upper right", ncols=2, fontsize=8, frameon=False)
     return figure
+
+
+def _models(result: Fit, part: Prediction) -> list[tuple[str, np.ndarray]]:
+    """What the models predict, by their labels: one where there is no residual."""
+    return list(zip(COLORS, (part.nominal, part.full)[: 1 + bool(result.residuals)], strict=False))
+
+
+def _unit(result: Fit, axis: str) -> str:
+    return units(type(result.constants[ALL]))[axis].replace("^2", "²")

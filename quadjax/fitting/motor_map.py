@@ -6,47 +6,26 @@ Without, the forces and moments of the simulated speeds are compared with the me
 scale of the speeds then has no effect, and ``w_max`` is that of the base vehicle.
 """
 
-import dataclasses
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from quadjax.fitting.config import PrepareConfig
 from quadjax.fitting.flight_log import FlightLog
-from quadjax.fitting.lag import LONGEST, SHORTEST, Followed, followed
-from quadjax.fitting.least_squares import BLOCK
+from quadjax.fitting.lag import LONGEST, SHORTEST, UNIT, Followed, blocks_of, followed
 from quadjax.fitting.nominal import EQUATIONS, ModelInputs, regressors
-from quadjax.fitting.prepare import airborne
+from quadjax.fitting.prepare import SETTLING
+from quadjax.fitting.regression import Estimate, Search, half_seconds, solve, unknown
 from quadjax.fitting.signals import derivative, first_order, low_pass
 from quadjax.vehicle.racing import RacingConstants
 
 RPM = 30.0 / math.pi  # of 1 rad/s
 NAMES = ("w_min", "w_max", "k", "tau")
-SETTLING = 0.5  # s
-MOST_STEPS = 40  # of the solver
 EXPLAINED = 0.9  # R^2 below which there is a warning
 LEAST_CHANGE = 0.01  # of the commands
 THRUST_AND_MOMENTS = ("az", "Mx", "My", "Mz")
 LEAST_RATE = 60.0  # Hz, of the samples compared without measured speeds
-Errors = Callable[[np.ndarray], np.ndarray]  # (m,) parameters -> (n,) errors
-
-
-@dataclass(frozen=True)
-class MotorFit:
-    """Constants of the motors, in the order of ``NAMES``."""
-
-    values: np.ndarray  # (4,) rad/s, rad/s, 1, s
-    standard_errors: np.ndarray  # (4,), infinite where not fitted
-    r_squared: float  # of the speeds, or of the forces and moments
-    warnings: tuple[str, ...]
-
-    @property
-    def constants(self) -> dict[str, float]:
-        """The values by name."""
-        return dict(zip(NAMES, map(float, self.values), strict=True))
 
 
 def steady_speeds(values: np.ndarray, command: np.ndarray) -> np.ndarray:
@@ -54,63 +33,6 @@ def steady_speeds(values: np.ndarray, command: np.ndarray) -> np.ndarray:
     low, high, k, _ = values
     u = np.clip(command, 0.0, 1.0)
     return low + (high - low) * np.sqrt(k * u * u + (1.0 - k) * u)
-
-
-def fit_motors(logs: Sequence[FlightLog], base: RacingConstants, config: PrepareConfig) -> MotorFit:
-    """Fit the constants of the motors.
-
-    Args:
-        logs: flights; those with motor commands are used.
-        base: values without information in the logs.
-        config: of filtering and trimming.
-    """
-    start = np.array([float(getattr(base, name)) for name in NAMES])
-    parts = [(log, airborne(log, config)) for log in logs if log.motor_command is not None]
-    if not parts:
-        return _unknown(start, "the logs have no motor commands")
-    if max(float(np.ptp(log.motor_command[rows])) for log, rows in parts) < LEAST_CHANGE:
-        return _unknown(start, "the motor commands never change")
-    measured = [
-        followed(log, rows, log.rpm / RPM, log.motor_command)
-        for log, rows in parts
-        if log.speeds_measured
-    ]
-    if measured:
-        return _fit_measured(measured, start)
-    flights = [_Unmeasured(log, base, config, i) for i, (log, _) in enumerate(parts)]
-    return _fit_unmeasured(flights, start)
-
-
-def _unknown(start: np.ndarray, reason: str) -> MotorFit:
-    kept = ", ".join(f"{name} {value:.4g}" for name, value in zip(NAMES, start, strict=True))
-    line = f"motors: {reason}; the base vehicle's {kept} are kept"
-    return MotorFit(start, np.full(4, np.inf), 0.0, (line,))
-
-
-def _fit_measured(parts: list[Followed], start: np.ndarray) -> MotorFit:
-    def errors(values: np.ndarray) -> np.ndarray:
-        return np.concatenate([_speed_errors(part, values) for part in parts])
-
-    speeds = np.concatenate([part.measured for part in parts])
-    rows = np.concatenate(
-        [np.arange(len(part.measured)) // max(1, int(BLOCK * part.rate)) for part in parts]
-    )
-    flights = np.repeat(np.arange(len(parts)), [len(part.measured) for part in parts])
-    blocks = np.unique(flights * 1_000_000 + rows, return_inverse=True)[1]
-    free = np.ones(4, bool)
-    high = max(float(speeds.max()), start[1])
-    bounds = (np.array([0.0, 0.1 * high, 0.0, SHORTEST]), [0.9 * high, 10 * high, 1.0, LONGEST])
-    return _solved(errors, start, free, bounds, np.repeat(blocks, 4), speeds, ())
-
-
-def _speed_errors(part: Followed, values: np.ndarray) -> np.ndarray:
-    """Measured minus simulated speeds (n * 4,), rad/s."""
-    steady = steady_speeds(values, part.command)
-    pieces = zip(
-        np.split(part.measured, part.starts[1:]), np.split(steady, part.starts[1:]), strict=True
-    )
-    simulated = [first_order(u, own[0], values[3], 1.0 / part.rate) for own, u in pieces]
-    return (part.measured - np.concatenate(simulated)).ravel()
 
 
 def with_simulated_speeds(log: FlightLog, values: np.ndarray) -> FlightLog:
@@ -122,7 +44,7 @@ def with_simulated_speeds(log: FlightLog, values: np.ndarray) -> FlightLog:
         return log
     steady = RPM * steady_speeds(values, log.motor_command)
     rpm = first_order(steady, steady[0], values[3], 1.0 / log.sample_rate)
-    return dataclasses.replace(log, rpm=rpm, flying=settled(log))
+    return replace(log, rpm=rpm, flying=settled(log))
 
 
 def settled(log: FlightLog) -> np.ndarray:
@@ -130,22 +52,88 @@ def settled(log: FlightLog) -> np.ndarray:
     return log.flying & (log.time - log.time[0] > SETTLING)
 
 
-class _Unmeasured:
-    """A flight without measured speeds: what its forces and moments are, and would be."""
+def fit_motors(
+    logs: Sequence[FlightLog], rows: Sequence[np.ndarray], base: RacingConstants, cutoff: float
+) -> Estimate:
+    """Fit the constants of the motors, in the order of ``NAMES``.
 
-    def __init__(
-        self, log: FlightLog, base: RacingConstants, config: PrepareConfig, index: int
-    ) -> None:
-        self.log, self.base, self.cutoff = log, base, config.cutoff
-        rows = np.flatnonzero(airborne(log, config) & (log.time - log.time[0] > SETTLING))
-        self.rows = rows[:: max(1, int(log.sample_rate / LEAST_RATE))]
-        turn = derivative(low_pass(log.rates, log.sample_rate, self.cutoff), log.sample_rate)
-        force = low_pass(log.specific_force[:, 2:], log.sample_rate, self.cutoff)
-        self.measured = np.concatenate([force, turn], axis=1)[self.rows]
-        self.block = np.floor(log.time[self.rows] / BLOCK) + 1e6 * index
+    Args:
+        logs: flights; those with motor commands are used.
+        rows: of each, (n,) bool.
+        base: values without evidence in the logs.
+        cutoff: of the low-pass of forces and moments, Hz.
+    """
+    start = np.array([float(getattr(base, name)) for name in NAMES])
+    pairs = zip(logs, rows, strict=True)
+    parts = [(log, used) for log, used in pairs if log.motor_command is not None and used.any()]
+    kept = dict(zip(NAMES, start, strict=True))
+    if not parts:
+        return unknown("motors", kept, "the logs have no motor commands")
+    if max(float(np.ptp(log.motor_command[used])) for log, used in parts) < LEAST_CHANGE:
+        return unknown("motors", kept, "the motor commands never change")
+    measured = [
+        followed(log, used, log.rpm / RPM, log.motor_command)
+        for log, used in parts
+        if log.speeds_measured
+    ]
+    flights = [_Unmeasured(log, used, base, cutoff) for log, used in parts if not measured]
+    found = solve(_with_speeds(measured, start) if measured else _without(flights, start))
+    if found.r_squared >= EXPLAINED:
+        return found
+    line = (
+        f"motors: the commands explain the motors by an R^2 of {found.r_squared:.2f}: is "
+        "logs.motor_range right?"
+    )
+    return replace(found, warnings=(*found.warnings, line))
+
+
+def _with_speeds(parts: list[Followed], start: np.ndarray) -> Search:
+    measured = np.concatenate([part.measured for part in parts])
+    high = max(float(measured.max()), start[1])
+
+    def model(values: np.ndarray) -> np.ndarray:
+        tau = values[3]
+        steady = ((part, steady_speeds(values, part.command)) for part in parts)
+        return np.concatenate([part.simulated(tau, speeds) for part, speeds in steady])
+
+    return Search(
+        group="motors",
+        names=NAMES,
+        base=start,
+        measured=measured,
+        blocks=blocks_of(parts),
+        uncertain=EQUATIONS[RacingConstants].uncertain,
+        model=model,
+        low=np.array([0.0, 0.1 * high, 0.0, SHORTEST]),
+        high=np.array([0.9 * high, 10.0 * high, 1.0, LONGEST]),
+        unit=np.array([1000.0, 1000.0, 1.0, UNIT]),
+        physical=("w_min", "k"),
+    )
+
+
+@dataclass(frozen=True)
+class _Unmeasured:
+    """Some rows of a flight without measured speeds."""
+
+    log: FlightLog
+    used: np.ndarray  # (n,) bool
+    base: RacingConstants
+    cutoff: float
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Indices of the samples that are compared."""
+        return np.flatnonzero(self.used)[:: max(1, int(self.log.sample_rate / LEAST_RATE))]
+
+    def measured(self) -> np.ndarray:
+        """Filtered force and angular accelerations (m, 4), as ``THRUST_AND_MOMENTS``."""
+        rate = self.log.sample_rate
+        turn = derivative(low_pass(self.log.rates, rate, self.cutoff), rate)
+        force = low_pass(self.log.specific_force[:, 2:], rate, self.cutoff)
+        return np.concatenate([force, turn], axis=1)[self.rows]
 
     def regressors(self, values: np.ndarray) -> dict[str, np.ndarray]:
-        """Filtered regressors (n, k) by axis of the speeds that the commands give."""
+        """Filtered regressors (m, k) by axis of the speeds that the commands give."""
         log = with_simulated_speeds(self.log, values)
         rate = log.sample_rate
         motion = ModelInputs(log.rpm, derivative(log.rpm, rate), log.body_velocity, log.rates)
@@ -156,80 +144,34 @@ class _Unmeasured:
         }
 
 
-def _fit_unmeasured(flights: list[_Unmeasured], start: np.ndarray) -> MotorFit:
-    measured = np.concatenate([flight.measured for flight in flights])
+def _without(flights: list[_Unmeasured], start: np.ndarray) -> Search:
+    measured = np.concatenate([flight.measured() for flight in flights])
     measured = measured / measured.std(axis=0)
 
-    def errors(values: np.ndarray) -> np.ndarray:
-        found = [flight.regressors(values) for flight in flights]
-        left = np.empty_like(measured)
+    def model(values: np.ndarray) -> np.ndarray:
+        """Forces and moments with the best constants of the rotors for these motors."""
+        parts = [flight.regressors(values) for flight in flights]
+        modeled = np.empty_like(measured)
         for axis, name in enumerate(THRUST_AND_MOMENTS):
-            columns = np.concatenate([each[name] for each in found])
+            columns = np.concatenate([part[name] for part in parts])
             columns = columns / np.sqrt((columns**2).mean(axis=0))
             solution = np.linalg.lstsq(columns, measured[:, axis], rcond=1e-10)[0]
-            left[:, axis] = measured[:, axis] - columns @ solution
-        return left.ravel()
+            modeled[:, axis] = columns @ solution
+        return modeled
 
-    blocks = np.concatenate([flight.block for flight in flights])
-    blocks = np.repeat(np.unique(blocks, return_inverse=True)[1], len(THRUST_AND_MOMENTS))
-    free = np.array([True, False, True, True])
-    bounds = (np.array([0.0, 0.0, 0.0, SHORTEST]), [0.5 * start[1], np.inf, 1.0, LONGEST])
-    line = (
-        "w_max: not determined, because the logs have no rotor speeds; the base vehicle's "
-        f"{start[1]:.4g} rad/s is kept, and all constants of the rotors are relative to it"
+    times = [flight.log.time[flight.rows] - flight.log.time[0] for flight in flights]
+    index = np.repeat(np.arange(len(times)), [len(time) for time in times])
+    return Search(
+        group="motors",
+        names=NAMES,
+        base=start,
+        measured=measured,
+        blocks=half_seconds(np.concatenate(times), index),
+        uncertain=EQUATIONS[RacingConstants].uncertain,
+        model=model,
+        low=np.array([0.0, 0.0, 0.0, SHORTEST]),
+        high=np.array([0.5 * start[1], np.inf, 1.0, LONGEST]),
+        unit=np.array([1000.0, 1000.0, 1.0, UNIT]),
+        physical=("w_min", "k"),
+        fixed=("w_max",),
     )
-    return _solved(errors, start, free, bounds, blocks, measured, (line,))
-
-
-def _solved(
-    errors: Errors,
-    start: np.ndarray,
-    free: np.ndarray,
-    bounds: tuple[np.ndarray, Sequence[float]],
-    blocks: np.ndarray,
-    signal: np.ndarray,
-    lines: tuple[str, ...],
-) -> MotorFit:
-    """Nonlinear least squares for the free values, with cluster-robust standard errors."""
-    low, high = (np.asarray(bound, float)[free] for bound in bounds)
-    size = np.array([1000.0, 1000.0, 1.0, 0.05])[free]
-
-    def full(scaled: np.ndarray) -> np.ndarray:
-        values = start.copy()
-        values[free] = scaled * size
-        return values
-
-    first = np.clip(start[free], low + 1e-6 * size, high - 1e-6 * size) / size
-    found = least_squares(
-        lambda scaled: errors(full(scaled)),
-        first,
-        bounds=(low / size, high / size),
-        diff_step=1e-4,
-        xtol=1e-9,
-        ftol=1e-10,
-        max_nfev=MOST_STEPS,
-    )
-    jacobian, error = found.jac, found.fun
-    scores = np.zeros((int(blocks.max()) + 1, len(size)))
-    np.add.at(scores, blocks, jacobian * error[:, None])
-    bread = np.linalg.pinv(jacobian.T @ jacobian)
-    covariance = bread @ (scores.T @ scores) @ bread
-    spread = float(((signal - signal.mean(axis=0)) ** 2).sum())
-    values, deviations = full(found.x), np.full(4, np.inf)
-    deviations[free] = np.sqrt(np.diag(covariance)) * size
-    uncertain = [
-        f"{name}: little excited by the logs: {value:.4g} +- {deviation:.2g}"
-        for name, value, deviation in zip(NAMES, values, deviations, strict=True)
-        if np.isfinite(deviation) and deviation > EQUATIONS[RacingConstants].uncertain * abs(value)
-    ]
-    if not found.success:
-        uncertain.append(
-            f"motors: the solver stopped after {MOST_STEPS} steps, before it converged"
-        )
-    r_squared = 1.0 - float((error**2).sum()) / max(spread, 1e-300)
-    if r_squared < EXPLAINED:
-        uncertain.append(
-            f"motors: the commands explain the motors by an R^2 of {r_squared:.2f}: is "
-            "logs.motor_range right?"
-        )
-    return MotorFit(values, deviations, r_squared, (*lines, *uncertain))

@@ -1,8 +1,8 @@
 """Force and moment model over whole logs, in float64: nominal part, residual and regressors.
 
-The nominal models (``quadjax.vehicle.motor`` and ``racing``) are linear in their constants: each
-axis of ``AXES`` is a sum of ``constant * regressor``. Moments are those of the inertia (motor) or
-angular accelerations (racing).
+The nominal models (``quadjax.vehicle.motor``, ``racing`` and the drag of ``rate``) are linear in
+their constants: each axis of ``AXES`` is a sum of ``constant * regressor``. Moments are those of
+the inertia (motor) or angular accelerations (racing).
 """
 
 import math
@@ -19,12 +19,13 @@ from quadjax.vehicle import motor, racing
 from quadjax.vehicle.constants import constant_names, replaced, rotor_names
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.racing import RacingConstants
+from quadjax.vehicle.rate import RateConstants
 from quadjax.vehicle.residual import Layers, Residual
 
-Constants = MotorConstants | RacingConstants
+Constants = MotorConstants | RacingConstants | RateConstants
 ForceMoment = Callable[[Constants, Rotors, Rotors, Vec3, Vec3], tuple[Vec3, Vec3]]
 AXES = ("ax", "ay", "az", "Mx", "My", "Mz")
-UNITS = dict.fromkeys(AXES[:3], "m/s^2") | dict.fromkeys(AXES[3:], "N m")
+UNITS = dict.fromkeys(AXES[:3], "m/s^2") | dict.fromkeys(AXES[3:], "N m")  # of motor
 CONSTANTS: dict[str, tuple[str, ...]] = {
     "ax": ("k_x",),
     "ay": ("k_y",),
@@ -72,7 +73,22 @@ def _racing(
     return racing.nominal_force(c, speed, velocity), racing.nominal_spin(c, speed, speed_rate)
 
 
+def _rate(
+    c: RateConstants, rpm: Rotors, _rpm_rate: Rotors, velocity: Vec3, _rates: Vec3
+) -> tuple[Vec3, Vec3]:
+    nothing = 0.0 * rpm.w1
+    return Vec3(-c.d_x * velocity.x, -c.d_y * velocity.y, nothing), Vec3(*[nothing] * 3)
+
+
 EQUATIONS: dict[type, Equations] = {
+    RateConstants: Equations(
+        {"ax": ("d_x",), "ay": ("d_y",)},
+        driving=(),
+        small=("d_x", "d_y"),
+        force_moment=_rate,
+        has_inertia=False,
+        uncertain=0.05,
+    ),
     MotorConstants: Equations(
         CONSTANTS,
         driving=("k_x", "k_y", "k_w", "k_p", "k_q", "k_r1", "k_r2"),
@@ -101,6 +117,12 @@ EQUATIONS: dict[type, Equations] = {
         uncertain=0.01,
     ),
 }
+
+
+def units(kind: type) -> dict[str, str]:
+    """The unit of each of ``AXES``, by the type of a model's constants."""
+    moment = "N m" if EQUATIONS[kind].has_inertia else "rad/s^2"
+    return UNITS | dict.fromkeys(AXES[3:], moment)
 
 
 @struct.dataclass

@@ -10,16 +10,20 @@ part of the spectrum above the motion of a quadcopter; noise of that level is ad
 once more, and the change of the regressors (``Samples.noise``) corrects the least squares.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from flax import struct
 
 from quadjax.core.errors import InputError
-from quadjax.fitting.config import PrepareConfig
 from quadjax.fitting.flight_log import FlightLog
-from quadjax.fitting.nominal import AXES, Constants, ModelInputs, angular_moment, regressors
+from quadjax.fitting.nominal import Constants, ModelInputs, angular_moment, regressors
 from quadjax.fitting.signals import Rows, concatenated, derivative, low_pass, noise_level
+
+AIRBORNE = 0.5  # of the flight's median rpm, below which it is on the ground
+PAUSE = 1.0  # s below it that count as a landing
+SETTLING = 0.5  # s, until unknown propeller speeds of the start have no effect
 
 
 @struct.dataclass
@@ -38,43 +42,62 @@ class Samples(Rows):
         return len(self.time)
 
 
-def airborne(log: FlightLog, config: PrepareConfig) -> np.ndarray:
-    """Rows (n,) in flight: by the log's mode and the propeller speeds.
+def airborne(log: FlightLog) -> np.ndarray:
+    """Rows (n,) bool in flight: by the log's mode and the propeller speeds.
 
     Speeds below a fraction of the flight's median count as on the ground at both ends of the log,
-    and elsewhere if they last; a dive is short.
+    and elsewhere if they last; a dive is short. Without measured speeds a flight begins when those
+    at its start, which are not known, have no effect.
     """
     mean = log.rpm.mean(axis=1)
     if not log.flying.any():
         raise InputError(f"{log.path}: the log's mode is never above 0: no flight")
-    spinning = mean >= config.airborne_fraction * np.median(mean[log.flying])
+    spinning = mean >= AIRBORNE * np.median(mean[log.flying])
     edges = np.flatnonzero(np.diff(np.concatenate([[True], spinning, [True]])))
     mask = log.flying.copy()
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         at_an_end = start == 0 or stop == len(mean)
-        if at_an_end or stop - start > config.airborne_pause * log.sample_rate:
+        if at_an_end or stop - start > PAUSE * log.sample_rate:
             mask[start:stop] = False
-    return mask
+    return mask if log.speeds_measured else mask & (log.time - log.time[0] > SETTLING)
+
+
+def flight_rows(logs: Sequence[FlightLog], min_seconds: float = 0.0) -> list[np.ndarray]:
+    """The rows (n,) bool in flight of each log.
+
+    Raises:
+        InputError: a log with less than ``min_seconds`` of flight.
+    """
+    rows = [airborne(log) for log in logs]
+    for log, flying in zip(logs, rows, strict=True):
+        if flying.sum() < min_seconds * log.sample_rate:
+            raise InputError(
+                f"{log.path}: {flying.sum() / log.sample_rate:.3g} s of flight, expected at least "
+                f"{min_seconds:g} s (logs.min_seconds)"
+            )
+    return rows
 
 
 def prepare(
-    logs: list[FlightLog], constants: Constants, config: PrepareConfig, min_seconds: float
+    logs: Sequence[FlightLog], constants: Constants, cutoff: float, rows: Sequence[np.ndarray]
 ) -> Samples:
-    """Inputs, regressors and targets of every flight's airborne part.
+    """Inputs, regressors and targets of some rows of flights.
 
     Args:
         logs: flights of one drone, of any sample rates.
         constants: of the model; with the inertia, if it has one.
-        config: of filtering and trimming.
-        min_seconds: shortest allowed flight time of a log, s.
+        cutoff: of the low-pass, Hz.
+        rows: of each flight, (n,) bool; see ``flight_rows``.
 
     Raises:
-        InputError: a flight with too little airborne time, or a cut-off too high for its rate.
+        InputError: a cut-off too high for the rate of a log.
     """
-    parts = [
-        _prepare_one(log, index, constants, config, min_seconds) for index, log in enumerate(logs)
-    ]
-    return join(parts)
+    return join(
+        [
+            _prepare_one(log, index, constants, cutoff)[used]
+            for index, (log, used) in enumerate(zip(logs, rows, strict=True))
+        ]
+    )
 
 
 def join(parts: list[Samples]) -> Samples:
@@ -83,47 +106,37 @@ def join(parts: list[Samples]) -> Samples:
     return concatenated([part.replace(sample_rate=rate) for part in parts])
 
 
-def _prepare_one(
-    log: FlightLog,
-    index: int,
-    constants: Constants,
-    config: PrepareConfig,
-    min_seconds: float,
-) -> Samples:
-    rows = airborne(log, config)
-    if rows.sum() < min_seconds * log.sample_rate:
-        raise InputError(
-            f"{log.path}: {rows.sum() / log.sample_rate:.3g} s of flight, expected at least "
-            f"{min_seconds:g} s (logs.min_seconds)"
-        )
+def thin(samples: Samples, sample_rate: float) -> Samples:
+    """Every k-th row, so that the sample rate is about ``sample_rate`` Hz."""
+    return samples[:: max(1, int(round(samples.sample_rate / sample_rate)))]
+
+
+def _prepare_one(log: FlightLog, index: int, constants: Constants, cutoff: float) -> Samples:
     rate = log.sample_rate
 
     def smooth(signal: np.ndarray) -> np.ndarray:
-        return low_pass(signal, rate, config.cutoff)
+        return low_pass(signal, rate, cutoff)
 
-    def filtered_regressors(motion: ModelInputs) -> dict[str, np.ndarray]:
+    def filtered_regressors(log: FlightLog) -> dict[str, np.ndarray]:
+        motion = ModelInputs(log.rpm, derivative(log.rpm, rate), log.body_velocity, log.rates)
         return {axis: smooth(columns) for axis, columns in regressors(motion, constants).items()}
 
     still = np.zeros_like(log.rates)
     rates, rpm = smooth(log.rates), smooth(log.rpm)
     moment = angular_moment(constants, still, derivative(rates, rate))
     moment += smooth(angular_moment(constants, log.rates, still))
-    exact = filtered_regressors(_raw_motion(log))
-    noisier = filtered_regressors(_raw_motion(_with_noise_again(log, config.cutoff, index)))
-    samples = Samples(
+    exact, noisier = (
+        filtered_regressors(each) for each in (log, _with_noise_again(log, cutoff, index))
+    )
+    return Samples(
         ModelInputs(rpm, derivative(rpm, rate), smooth(log.body_velocity), rates),
         exact,
-        {axis: noisier[axis] - exact[axis] for axis in AXES},
+        {axis: noisier[axis] - columns for axis, columns in exact.items()},
         np.concatenate([smooth(log.specific_force), moment], axis=1),
         np.full(len(log.time), index),
         log.time - log.time[0],
         rate,
     )
-    return samples[rows]
-
-
-def _raw_motion(log: FlightLog) -> ModelInputs:
-    return ModelInputs(log.rpm, derivative(log.rpm, log.sample_rate), log.body_velocity, log.rates)
 
 
 def _with_noise_again(log: FlightLog, cutoff: float, seed: int) -> FlightLog:
@@ -139,8 +152,3 @@ def _with_noise_again(log: FlightLog, cutoff: float, seed: int) -> FlightLog:
         body_velocity=noisier(log.body_velocity),
         rates=noisier(log.rates),
     )
-
-
-def thin(samples: Samples, sample_rate: float) -> Samples:
-    """Every k-th row, so that the sample rate is about ``sample_rate`` Hz."""
-    return samples[:: max(1, int(round(samples.sample_rate / sample_rate)))]

@@ -1,237 +1,244 @@
 """Report of a fit: tables and files."""
 
+import io
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
 from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import provenance
 from quadjax.core.yaml_files import to_yaml
-from quadjax.fitting.least_squares import r_squared
-from quadjax.fitting.nominal import AXES, UNITS
-from quadjax.fitting.pipeline import FitResult
+from quadjax.fitting.fit import Fit
+from quadjax.fitting.nominal import AXES, EQUATIONS, units
 from quadjax.fitting.prediction import Prediction, pooled
-from quadjax.fitting.residual_fit import ALL
-from quadjax.fitting.split import TEST
-from quadjax.vehicle.constants import constant_names
-from quadjax.vehicle.motor import MotorConstants
+from quadjax.fitting.regression import Estimate, r_squared
+from quadjax.fitting.split import ALL, LeftOut
+from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.residual import write_residual
 from quadjax.vehicle.vehicle_file import write_vehicle
 
 RESIDUAL_AXES = AXES[2:]
-FILES = ("config.yaml", "vehicle.yaml", "residual.npz", "report.json", "report.txt")
+FILES = ("config.yaml", "vehicle.yaml", "report.json", "report.txt")
+RESIDUAL = "residual.npz"
 FIGURES = ("held_out_*.png", "training_*.png", "errors.png")  # see ``figures.write_figures``
+PATTERNS = (*FILES, RESIDUAL, *FIGURES)  # of all files that a fit writes
 NONE_HELD_OUT = "held out: none (split.leave_one_out is off, split.test_flights is empty)"
-PATTERNS = (*FILES, *FIGURES)  # of all files that a fit writes
+WIDTH = 120
 
 
-def tables(result: FitResult) -> str:
+def tables(result: Fit) -> str:
     """The report as text."""
-    parts = [_nominal_table(result), _change_table("training", result.training)]
+    what = "held out, each by a fit without it"
+    parts = [_constants(result), _errors(result, "training", result.training)]
     if result.held_out:
-        parts += [_change_table("held out", pooled(result.held_out)), _by_flight(result.held_out)]
-        if result.harmful and (result.split.fold == TEST).any():
-            axes = ", ".join(result.harmful)
-            parts.append(
-                f"the base vehicle's constants of {axes} were chosen on the test rows, too"
-            )
-        if (result.gains < 1.0).any():
-            written = [part.scaled(result.gains) for part in result.unlimited]
-            parts.append(
-                _by_flight(written, ", scaled as written: by factors chosen on these flights")
-            )
+        parts += [_errors(result, what, pooled(result.held_out)), _by_flight(result)]
     else:
         parts.append(NONE_HELD_OUT)
-    if result.fits[ALL].choices:
+    if _has_choices(result):
         parts.append(_choices(result))
+    elif not result.residuals:
+        parts.append(f"the model {result.model} has no residual network")
     return "\n\n".join(parts) + "\n"
 
 
-def write_results(result: FitResult, folder: Path) -> list[Path]:
-    """Write config, vehicle, residual and report to a folder; return the paths."""
-    config, vehicle, residual, numbers, text = paths = [folder / name for name in FILES]
-    tested, fit = result.config.split.test_flights, result.fits[ALL]
+def write_results(result: Fit, folder: Path) -> list[Path]:
+    """Write config, vehicle, report and, if the model has one, the residual; return the paths."""
+    config, vehicle, numbers, text = paths = [folder / name for name in FILES]
     write_text(config, to_yaml(result.config.model_dump()))
-    fitted = [log.name for log in result.logs if log.name not in tested]
-    source = f"Fitted on {', '.join(fitted)}\nby quadjax fit; see report.txt in this folder."
-    write_vehicle(vehicle, result.vehicle, source, {"motor": {}, **_notes(result)})
-    fitted_on = {
-        "fit": result.config.name,
-        "flights": fitted,
-        "rejected": {axis: c.rejected for axis, c in fit.choices.items() if c.rejected},
-        "constants": {
-            name: float(getattr(fit.constants, name)) for name in constant_names(MotorConstants)
-        },
-    }
-    write_residual(residual, fit.residual, fitted_on)
+    fitted = ", ".join(result.fitted_flights)
+    source = f"Fitted on {fitted}\nby quadjax fit; see report.txt in this folder."
+    write_vehicle(vehicle, result.vehicle, source, _notes(result))
     write_json(numbers, as_json(result) | {"provenance": provenance(result.config)})
     write_text(text, tables(result))
+    if result.residuals:
+        paths.append(folder / RESIDUAL)
+        fit = result.residuals[ALL]
+        source_of = {
+            "fit": result.config.name,
+            "flights": result.fitted_flights,
+            "rejected": {axis: c.rejected for axis, c in fit.choices.items() if c.rejected},
+            "constants": {name: float(x) for name, x in values_of(result.constants[ALL]).items()},
+        }
+        write_residual(paths[-1], fit.residual, source_of)
     return paths
 
 
-def _fitted(result: FitResult) -> list[tuple[str, str, float, float]]:
-    """Name, axis, value and standard error of every constant."""
-    rows = [
-        (name, fit.axis, float(value), float(error))
-        for fit in result.axes
-        for name, value, error in zip(fit.names, fit.values, fit.standard_errors, strict=True)
-    ]
-    return [*rows, ("tau", "", result.lag.tau, result.lag.standard_error)]
-
-
-def _fitted_rate(result: FitResult) -> list[tuple[str, float, float, float]]:
-    """Name, value, standard error and R^2 of the constants of the rate-and-thrust model."""
-    fit = result.rate
-    if fit is None:
-        return []
-    return [
-        (name, value, fit.standard_errors[name], fit.r_squared[name])
-        for name, value in fit.values.items()
-    ]
-
-
-def as_json(result: FitResult) -> dict[str, object]:
+def as_json(result: Fit) -> dict[str, object]:
     """The numbers of the report; null for those that are not finite."""
     report = {
+        "model": result.model,
         "flights": [log.name for log in result.logs],
         "constants": {
-            name: {"value": value, "standard_error": error, "axis": axis}
-            for name, axis, value, error in _fitted(result)
+            name: {"value": value, "standard_error": estimate.errors[name], "axis": estimate.group}
+            for estimate in result.estimates
+            for name, value in estimate.constants.items()
         },
         "axes": {
-            fit.axis: {name: getattr(fit, name) for name in ("r_squared", "rmse", "condition")}
-            for fit in result.axes
+            fit.group: {name: getattr(fit, name) for name in ("r_squared", "rmse", "condition")}
+            for fit in result.estimates
+            if fit.group in AXES
         },
-        "rate_model": {
-            name: {"value": value, "standard_error": error, "r_squared": r2}
-            for name, value, error, r2 in _fitted_rate(result)
-        },
+        "battery": None if result.battery is None else vars(result.battery),
         "warnings": result.warnings,
         "split": {"by": result.split.by, "folds": list(result.split.names)},
-        "training": _prediction_json(result.training),
-        "held_out": {part.name: _prediction_json(part) for part in result.held_out},
-        "held_out_unlimited": {part.name: _prediction_json(part) for part in result.unlimited},
-        "gains": dict(zip(RESIDUAL_AXES, result.gains.tolist(), strict=True)),
+        "training": _prediction_json(result, result.training),
+        "held_out": {part.name: _prediction_json(result, part) for part in result.held_out},
+        "held_out_pooled": _pooled_json(result),
         "not_checked": {log.name: list(log.unchecked) for log in result.logs},
-        "held_out_pooled": _prediction_json(pooled(result.held_out)) if result.held_out else None,
         "choices": {
-            "final" if not left_out else result.split.names[min(left_out)]: {
+            _name(result, left_out): {
                 axis: vars(choice) | {"distilled": fit.distilled[axis]}
                 for axis, choice in fit.choices.items()
             }
-            for left_out, fit in result.fits.items()
+            for left_out, fit in result.residuals.items()
         },
     }
     return json.loads(json.dumps(report), parse_constant=lambda _: None)
 
 
-def _prediction_json(part: Prediction) -> dict[str, dict[str, float]]:
-    columns = {
-        "rmse_nominal": part.rmse(part.nominal),
-        "rmse_residual": part.rmse(part.full),
-        "change": part.change,
-        "r_squared_nominal": r_squared(part.measured, part.nominal),
-        "r_squared_residual": r_squared(part.measured, part.full),
-    }
+def text_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Columns as text, aligned to the right but for the first."""
+    table = Table(box=None, pad_edge=False)
+    for index, name in enumerate(header):
+        table.add_column(name, justify="right" if index else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    console = Console(file=io.StringIO(), width=WIDTH, markup=False, highlight=False)
+    with console.capture() as captured:
+        console.print(table)
+    return "\n".join([title, *(line.rstrip() for line in captured.get().splitlines())])
+
+
+def _name(result: Fit, left_out: LeftOut) -> str:
+    return result.split.names[min(left_out)] if left_out else "final"
+
+
+def _has_choices(result: Fit) -> bool:
+    return bool(result.residuals) and bool(result.residuals[ALL].choices)
+
+
+def _models(result: Fit, part: Prediction) -> dict[str, np.ndarray]:
+    """What the nominal model predicts, and with the residual, where there is one."""
+    residual = {"residual": part.full} if result.residuals else {}
+    return {"nominal": part.nominal, **residual}
+
+
+def _prediction_json(result: Fit, part: Prediction) -> dict[str, dict[str, float]]:
+    columns: dict[str, np.ndarray] = {}
+    for name, modeled in _models(result, part).items():
+        columns[f"rmse_{name}"] = part.rmse(modeled)
+        columns[f"r_squared_{name}"] = r_squared(part.measured, modeled)
+    if result.residuals:
+        columns["change"] = part.change
     return {axis: {k: float(v[i]) for k, v in columns.items()} for i, axis in enumerate(AXES)}
 
 
-def _notes(result: FitResult) -> dict[str, dict[str, str]]:
-    """A comment for every fitted constant of the vehicle file, by model."""
+def _pooled_json(result: Fit) -> dict[str, dict[str, float]] | None:
+    return _prediction_json(result, pooled(result.held_out)) if result.held_out else None
+
+
+def _notes(result: Fit) -> dict[str, dict[str, str]]:
+    """A comment for every constant that a fit has, by model; none if it kept them."""
     if not result.config.nominal.fit:
-        return {}
-    fitted = {"", *result.config.nominal.axes} - set(result.harmful)  # tau has no axis
-    motor = {
-        name: f"+- {error:.2g}" if axis in fitted and np.isfinite(error) else "the base vehicle's"
-        for name, axis, _, error in _fitted(result)
-    }
-    rate = {name: f"+- {error:.2g}" for name, _, error, _ in _fitted_rate(result)}
-    return {"motor": motor, "rate": rate}
-
-
-def _nominal_table(result: FitResult) -> str:
-    lines = [
-        "nominal model" if result.config.nominal.fit else "nominal model, if it were fitted",
-        f"{'axis':5}{'constant':>10}{'value':>14}{'std. error':>12}{'rel.':>8}"
-        f"{'condition':>11}{'R^2':>8}",
-    ]
-    quality = {fit.names[0]: (fit.condition, fit.r_squared) for fit in result.axes}
-    for name, axis, value, error in _fitted(result):
-        condition, r2 = quality.get(name, (None, None))
-        tail = "" if condition is None else f"{condition:11.3g}{r2:8.3f}"
-        if name == "tau":
-            tail = f"{'':11}{result.lag.r_squared:8.3f}"
-        relative = _percent(100.0 * error / max(abs(value), 1e-300))
-        shown = axis if name in quality else ""
-        lines.append(f"{shown:5}{name:>10}{value:14.5g}{error:12.2g}{relative:>8}{tail}")
-    if rate := _fitted_rate(result):
-        lines.append("rate-and-thrust model")
-    for name, value, error, r2 in rate:
-        relative = _percent(100.0 * error / max(abs(value), 1e-300))
-        lines.append(f"{'':5}{name:>10}{value:14.5g}{error:12.2g}{relative:>8}{'':11}{r2:8.3f}")
-    return "\n".join(lines + [f"warning: {line}" for line in result.warnings])
-
-
-def _spread(value: float) -> str:
-    return f"{100 * value:.1f}%" if np.isfinite(value) else "-"
-
-
-def _percent(value: float) -> str:
-    return f"{value:.2g}%" if value < 99.5 else (">99%" if np.isfinite(value) else "-")
-
-
-def _change_table(title: str, part: Prediction) -> str:
-    before, after = part.rmse(part.nominal), part.rmse(part.full)
-    fit_before = r_squared(part.measured, part.nominal)
-    fit_after = r_squared(part.measured, part.full)
-    lines = [
-        f"{title}: nominal -> nominal plus residual ({len(part.rows)} samples)",
-        f"{'axis':5}{'RMSE':>10}{'':4}{'RMSE':>8}{'change':>9}{'R^2':>9}{'':4}{'R^2':>5}",
-    ]
-    for i, axis in enumerate(AXES):
-        lines.append(
-            f"{axis:5}{before[i]:10.4g} -> {after[i]:8.4g}{100 * part.change[i]:+8.1f}%"
-            f"{fit_before[i]:9.3f} -> {fit_after[i]:5.3f}  {UNITS[axis]}"
+        return {"motor": {}}
+    names = {n for of in EQUATIONS[type(result.constants[ALL])].constants.values() for n in of}
+    notes = {result.model: dict.fromkeys(names, "the base vehicle's")}
+    for fit in result.estimates:
+        model = "rate" if fit.group == "rate" else result.model
+        kept = fit.group in result.kept
+        notes.setdefault(model, {}).update(
+            (name, f"+- {error:.2g}" if np.isfinite(error) and not kept else "the base vehicle's")
+            for name, error in fit.errors.items()
         )
-    return "\n".join(lines)
+    return notes
 
 
-def _by_flight(held_out: list[Prediction], title: str = "") -> str:
-    width = max(len("worst"), *(len(part.name) for part in held_out)) + 2
-    lines = [
-        f"held out, by flight{title}: change of RMSE",
-        " " * width + "".join(f"{axis:>9}" for axis in RESIDUAL_AXES),
+def _constants(result: Fit) -> str:
+    fitted = result.config.nominal.fit
+    title = f"model {result.model}" if fitted else f"model {result.model}, if it were fitted"
+    header = ("group", "constant", "value", "std. error", "rel.", "condition", "R^2")
+    rows = [row for estimate in result.estimates for row in _rows(estimate)]
+    lines = [text_table(title, header, rows)]
+    return "\n".join([*lines, *(f"warning: {line}" for line in result.warnings)])
+
+
+def _rows(estimate: Estimate) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    for index, (name, value) in enumerate(estimate.constants.items()):
+        error = estimate.errors[name]
+        relative = 100.0 * error / max(abs(value), 1e-300)
+        percent = f"{relative:.2g}%" if relative < 99.5 else ">99%"
+        numbers = (f"{value:.5g}", f"{error:.2g}", percent if np.isfinite(error) else "-")
+        quality = (f"{estimate.condition:.3g}", f"{estimate.r_squared:.4f}")
+        head, tail = ("", ("", "")) if index else (estimate.group, quality)
+        rows.append((head, name, *numbers, *tail))
+    return rows
+
+
+def _errors(result: Fit, title: str, part: Prediction) -> str:
+    columns = {"": list(AXES)}
+    for name, modeled in _models(result, part).items():
+        label = "RMSE" if name == "nominal" else "RMSE with residual"
+        columns[label] = [f"{x:.4g}" for x in part.rmse(modeled)]
+    if result.residuals:
+        columns["change"] = [f"{100.0 * x:+.1f}%" for x in part.change]
+    for name, modeled in _models(result, part).items():
+        label = "R^2" if name == "nominal" else "R^2 with residual"
+        columns[label] = [f"{x:.3f}" for x in r_squared(part.measured, modeled)]
+    columns["unit"] = list(units(type(result.constants[ALL])).values())
+    rows = list(zip(*columns.values(), strict=True))
+    return text_table(f"{title} ({len(part.rows)} samples)", list(columns), rows)
+
+
+def _by_flight(result: Fit) -> str:
+    what = "the last part of each flight" if result.split.by == "time" else "each flight"
+    explained = [
+        (part.name, *(f"{x:.3f}" for x in r_squared(part.measured, part.full)))
+        for part in result.held_out
     ]
-    rows = [(part.name, part.change[2:]) for part in held_out]
-    changes = [change for _, change in rows]
-    rows += [("mean", np.mean(changes, axis=0)), ("worst", np.max(changes, axis=0))]
-    for name, change in rows:
-        lines.append(f"{name:{width}}" + "".join(f"{100 * c:+8.1f}%" for c in change))
-    return "\n".join(lines)
+    title = f"held out: R^2 of {what} by a fit without it"
+    text = text_table(title, ("", *AXES), explained)
+    if not result.residuals:
+        return text
+    changes = np.array([part.change[2:] for part in result.held_out])
+    rows = [(part.name, change) for part, change in zip(result.held_out, changes, strict=True)]
+    rows += [("mean", changes.mean(axis=0)), ("worst", changes.max(axis=0))]
+    cells = [(name, *(f"{100.0 * x:+.1f}%" for x in change)) for name, change in rows]
+    title = "held out: change of the RMSE by the residual"
+    return f"{text}\n\n{text_table(title, ('', *RESIDUAL_AXES), cells)}"
 
 
-def _choices(result: FitResult) -> str:
-    fit = result.fits[ALL]
-    lines = [
-        "the written residual, selected on held-out folds",
-        f"{'axis':5}{'mirror':>8}{'epochs':>8}{'scale':>7}{'gain':>8}{'+- seeds':>10}"
-        f"{'agreement':>11}{'distilled':>11}  per fold",
-    ]
-    for axis, c in fit.choices.items():
-        gains = " ".join(f"{100 * gain:+.1f}%" for gain in c.gains)
-        lines.append(
-            f"{axis:5}{'yes' if c.mirror else 'no':>8}{c.epoch + 1:8d}{c.scale:7.2f}"
-            f"{100 * c.gain:7.1f}%{_spread(c.seed_spread):>10}{c.agreement:11.2f}"
-            f"{fit.distilled[axis]:11.3f}  {gains}"
+def _choices(result: Fit) -> str:
+    fit = result.residuals[ALL]
+    header = ("axis", "mirror", "epochs", "scale", "gain", "+- seeds", "agreement", "distilled")
+    rows = [
+        (
+            axis,
+            "yes" if c.mirror else "no",
+            str(c.epoch + 1),
+            f"{c.scale:.2f}",
+            f"{100.0 * c.gain:.1f}%",
+            f"{100.0 * c.seed_spread:.1f}%" if np.isfinite(c.seed_spread) else "-",
+            f"{c.agreement:.2f}",
+            f"{fit.distilled[axis]:.3f}",
+            " ".join(f"{100.0 * gain:+.1f}%" for gain in c.gains),
         )
-    lines += [
+        for axis, c in fit.choices.items()
+    ]
+    lines = [
+        text_table("the written residual, selected on held-out folds", (*header, "per fold"), rows),
         "agreement: mean square of the ensemble's mean over that of its networks, 1 is the same",
         "distilled: R^2 of the written network to the ensemble",
+        "scale: chosen so that the ensemble without a fold, scaled, increases no fold's error by "
+        f"more than {100.0 * result.config.residual.max_harm:g}%",
     ]
     if result.config.residual.seeds == 1:
         lines.append("residual.seeds is 1: gains are not compared with the spread between seeds")
-    for axis, c in fit.choices.items():
-        if c.rejected:
-            lines.append(f"rejected: {axis}: {c.rejected}; written as zero")
-    return "\n".join(lines)
+    rejected = {axis: c.rejected for axis, c in fit.choices.items() if c.rejected}
+    return "\n".join(
+        [*lines, *(f"rejected: {a}: {reason}; written as zero" for a, reason in rejected.items())]
+    )

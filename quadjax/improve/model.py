@@ -14,13 +14,14 @@ import numpy as np
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, write_json
-from quadjax.fitting.battery import BatteryFit, fit_battery
+from quadjax.fitting.axes import nominal_error
 from quadjax.fitting.config import FitConfig
+from quadjax.fitting.fit import Fit, Report
+from quadjax.fitting.fit import fit as fit_drone
 from quadjax.fitting.flight_log import FlightLog
+from quadjax.fitting.lag import BatteryFit, fit_battery
 from quadjax.fitting.nominal import AXES, UNITS, residual_output
-from quadjax.fitting.pipeline import FitResult, Report, run_fit
 from quadjax.fitting.report import write_results
-from quadjax.fitting.tasks import nominal_error
 from quadjax.vehicle.battery import BatteryConfig
 from quadjax.vehicle.constants import constant_names
 from quadjax.vehicle.motor import MotorConstants
@@ -180,11 +181,10 @@ def refit(
         logs=fit.logs.replace(files=tuple(str(file) for file in files)),
         body=fit.body.replace(rpm_range=ends),
     )
-    result = run_fit(config, Path(), report)
-    report("fitting the battery")
-    write_results(result, folder)
     base = battery or BatteryConfig()
-    model = _model_of(result, present, folder, base)
+    result = fit_drone(config, Path(), report, base)
+    write_results(result, folder)
+    model = _model_of(result, present, folder)
     names = {file.stem for file in recent}
     before, after = _errors(result, present, names)
     speeds = _speed_errors(result.logs, model, present, names, base)
@@ -194,19 +194,15 @@ def refit(
     return Refit(model, before, after, refusal(before, after), seconds)
 
 
-def _model_of(result: FitResult, present: Model, folder: Path, base: BatteryConfig) -> Model:
-    """The fitted model; its lag is that of motors under the battery's limit."""
+def _model_of(result: Fit, present: Model, folder: Path) -> Model:
+    """The fitted model."""
     motor = result.vehicle.motor
     constants = {name: float(getattr(motor, name)) for name in constant_names(MotorConstants)}
-    model = Model(constants, str(folder / "residual.npz"))
-    battery = fit_battery(result.logs, model.hover, base)
-    if battery is None:
-        return dataclasses.replace(model, battery=present.battery)
-    return dataclasses.replace(model, constants=constants | {"tau": battery.tau}, battery=battery)
+    return Model(constants, str(folder / "residual.npz"), result.battery or present.battery)
 
 
 def _errors(
-    result: FitResult, present: Model, names: set[str]
+    result: Fit, present: Model, names: set[str]
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Errors of the present model and of the fit on the held-out rows of some flights."""
     flights = [index for index, log in enumerate(result.logs) if log.name in names]

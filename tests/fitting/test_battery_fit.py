@@ -1,7 +1,6 @@
 """The battery's limit of the propeller speeds, from commands and measured speeds."""
 
 import dataclasses
-from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,9 +8,9 @@ import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors
-from quadjax.fitting import battery
-from quadjax.fitting.battery import BatteryFit, drain_of, fit_battery
+from quadjax.fitting import regression
 from quadjax.fitting.flight_log import FlightLog
+from quadjax.fitting.lag import BatteryFit, drain_of, fit_battery
 from quadjax.improve.model import Model, constant_lines
 from quadjax.vehicle.battery import BatteryConfig, battery_params, highest_rpm
 
@@ -69,7 +68,7 @@ def test_lag_and_limit_are_found_and_predict_a_flight_of_another_charge():
 def test_a_solver_that_stops_before_it_converges_is_reported(monkeypatch):
     logs = [flight(0.9, 1), flight(0.7, 2)]
     assert fit_battery(logs, HOVER, BATTERY).converged
-    monkeypatch.setattr(battery, "least_squares", partial(battery.least_squares, max_nfev=2))
+    monkeypatch.setattr(regression, "MAX_STEPS", 2)
     found = fit_battery(logs, HOVER, BATTERY)
     assert not found.converged
     model = Model({}, None, found)

@@ -6,14 +6,16 @@ import yaml
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.fitting import motor_map, racing_fit
-from quadjax.fitting.config import FitConfig, LogsConfig, PrepareConfig
+from quadjax.fitting import motor_map, nominal_fits, regression
+from quadjax.fitting.axes import with_common
+from quadjax.fitting.config import FitConfig, LogsConfig
+from quadjax.fitting.fit import fit
 from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.prepare import prepare
-from quadjax.fitting.racing_fit import run_racing_fit, with_common
-from quadjax.fitting.racing_report import racing_tables
+from quadjax.fitting.report import tables
+from quadjax.fitting.split import ALL
 from quadjax.vehicle.constants import replaced, values_of
-from quadjax.vehicle.vehicle_file import read_vehicle
+from quadjax.vehicle.vehicle_file import read_vehicle, write_vehicle
 from tests.commands import run
 
 from . import racing_logs
@@ -66,15 +68,14 @@ def test_every_constant_is_recovered(form, drone, flight, tmp_path):
     wrong = replaced(base, {name: 1.3 * true[name] for name in names} | {"k": 0.5})
     if form != "tii":
         wrong = wrong.replace(w_max=1.3 * base.w_max)
-    config = FitConfig(logs={"files": [str(path)], "format": form})
-    result = run_racing_fit(
-        config, tmp_path, read_vehicle(f"{drone}.yaml").with_constants("racing", wrong)
-    )
+    vehicle = _vehicle(tmp_path, drone, **values_of(wrong))
+    config = FitConfig(vehicle=vehicle, logs={"files": [str(path)], "format": form})
+    result = fit(config)
     assert not result.logs[0].unchecked
     named = [line.partition(":")[0].partition(" ")[0] for line in result.warnings]
     assert named == [] if form != "tii" else "w_max" in named
     for name in [*names, "w_max", "k"]:
-        np.testing.assert_allclose(values_of(result.constants)[name], true[name], 0.02)
+        np.testing.assert_allclose(values_of(result.constants[ALL])[name], true[name], 0.02)
 
 
 @pytest.mark.parametrize("form", ["blackbox", "tii", "ulog"])
@@ -109,13 +110,14 @@ def test_what_a_hover_does_not_excite_is_named(tmp_path):
     flight = racing_logs.fly(_truth("5inch"), seed=3, seconds=8.0, size=0.02)
     path = _write("blackbox", flight, tmp_path, variant=False)
     base = read_vehicle("5inch.yaml").racing
-    config = FitConfig(logs={"files": [str(path)], "format": "blackbox"})
-    result = run_racing_fit(config, tmp_path, _vehicle("5inch", k_x=1e-5, k=0.5, w_max=4000.0))
+    vehicle = _vehicle(tmp_path, "5inch", k_x=1e-5, k=0.5, w_max=4000.0)
+    config = FitConfig(vehicle=vehicle, logs={"files": [str(path)], "format": "blackbox"})
+    result = fit(config)
     text = "\n".join(result.warnings)
     for name, true in values_of(base).items():
-        found = float(values_of(result.constants)[name])
+        found = float(values_of(result.constants[ALL])[name])
         assert abs(found / true - 1.0) < 0.02 or name in text, name
-    assert "k_r1 (Mz): " in text and "w_min: little excited" in text
+    assert "k_r1 (Mz): " in text and "w_min (motors): " in text
 
 
 def test_constants_common_to_the_rotors_take_the_place_of_the_base_vehicle(short, tmp_path):
@@ -123,7 +125,7 @@ def test_constants_common_to_the_rotors_take_the_place_of_the_base_vehicle(short
     path = _write("blackbox", short, tmp_path, variant=False)
     log = read_log(path, LogsConfig(format="blackbox"))
     own, other = (read_vehicle(f"{drone}.yaml").racing for drone in ("5inch", "3inch"))
-    start = with_common(prepare([log], other, PrepareConfig(), 2.0), other)
+    start = with_common(prepare([log], other, 16.0, [log.flying]), other)
     for name in ("k_p", "k_q", "k_r", "k_rd"):
         values = getattr(start, name).components()
         mean = np.mean(getattr(own, name).components())
@@ -320,9 +322,9 @@ def test_the_command_writes_a_vehicle_for_training(short, tmp_path):
 
 @pytest.fixture(scope="module")
 def pieces(short, tmp_path_factory):
-    """Two flights, as logs without rotor speeds (tii) and with them."""
+    """Two flights, and a part of the first, as logs without rotor speeds (tii) and with them."""
     folder = tmp_path_factory.mktemp("pieces")
-    for name, rows in (("a", slice(0, 1250)), ("b", slice(1250, 2500))):
+    for name, rows in {"a": slice(0, 1250), "b": slice(1250, 2500), "c": slice(0, 1150)}.items():
         part = {key: values[rows] for key, values in short.items()}
         racing_logs.write_tii(folder / f"{name}_tii.csv", racing_logs.tii_columns(part))
         racing_logs.write_blackbox(
@@ -331,59 +333,57 @@ def pieces(short, tmp_path_factory):
     return folder
 
 
-def _vehicle(drone, **values):
-    """A base vehicle with other constants of the racing model."""
-    vehicle = read_vehicle(f"{drone}.yaml")
-    return vehicle.with_constants("racing", vehicle.racing.replace(**values))
+def _vehicle(folder, drone, **values):
+    """The file of a base vehicle with other constants of the racing model."""
+    vehicle, path = read_vehicle(f"{drone}.yaml"), folder / "base.yaml"
+    constants = replaced(vehicle.racing, values)
+    write_vehicle(path, vehicle.with_constants("racing", constants), "a base")
+    return str(path)
 
 
 def _fit(pieces, form, names, **changes):
     files = [str(pieces / f"{name}_{form}.csv") for name in names]
     logs = {"files": files, "format": form, "min_seconds": 1.0}
-    config = FitConfig(vehicle="5inch.yaml", logs=logs, **changes)
-    return run_racing_fit(config, pieces, _vehicle("5inch", tau=0.04, k=0.4))
+    vehicle = _vehicle(pieces, "5inch", tau=0.04, k=0.4)
+    return fit(FitConfig(vehicle=vehicle, logs=logs, **changes))
 
 
 @pytest.mark.parametrize("form", [pytest.param("tii", marks=pytest.mark.slow), "blackbox"])
 def test_a_held_out_flight_has_no_influence_on_its_prediction(form, pieces):
     """Motors, rotor speeds and regressors are those of the fit to the other flights alone."""
-    both, tested, alone = (
-        _fit(pieces, form, names, **changes)
-        for names, changes in (
-            ("ab", {}),
-            ("ab", {"split": {"test_flights": [f"a_{form}"]}}),
-            ("b", {}),
-        )
-    )
-    assert tested.constants == alone.constants != both.constants
-    errors = [{part.name: part.rmse for part in fit.held_out} for fit in (both, tested)]
-    np.testing.assert_array_equal(errors[0][f"a_{form}"], errors[1][f"a_{form}"])
-    assert set(errors[0]) == {f"a_{form}", f"b_{form}"}
-    text = (racing_tables(tested), racing_tables(_fit(pieces, form, "ab", split={"by": "time"})))
-    assert "of each flight by a fit" in racing_tables(both) and "last part of each" in text[1]
+    both = _fit(pieces, form, "ab")
+    by_time = _fit(pieces, form, "ab", split={"by": "time"})
+    assert {part.name for part in both.held_out} == {f"a_{form}", f"b_{form}"}
+    shorter = _fit(pieces, form, "cb")
+    without = frozenset({0})
+    assert shorter.constants[without] == both.constants[without]
+    assert shorter.constants[ALL] != both.constants[ALL]
+    assert "held out: R^2 of each flight by a fit without it" in tables(both)
+    assert "held out: R^2 of the last part of each flight" in tables(by_time)
 
 
 def test_by_time_the_fit_ends_before_the_held_out_part(pieces, monkeypatch):
     seen = []
 
-    def record(logs, *rest):
-        seen.append([(log.time[0], log.time[-1]) for log in logs])
-        return motor_map.fit_motors(logs, *rest)
+    def record(logs, rows, *rest):
+        seen.append(
+            [log.time[used][-1] - log.time[0] for log, used in zip(logs, rows, strict=True)]
+        )
+        return motor_map.fit_motors(logs, rows, *rest)
 
-    monkeypatch.setattr(racing_fit, "fit_motors", record)
-    _fit(pieces, "blackbox", "a", split={"by": "time", "test_fraction": 0.4})
-    (whole,), (first,) = seen
-    length = whole[1] - whole[0]
-    assert 0.5 * length - 0.15 < first[1] - first[0] <= 0.6 * length - 0.1
+    monkeypatch.setattr(nominal_fits, "fit_motors", record)
+    result = _fit(pieces, "blackbox", "a", split={"by": "time", "test_fraction": 0.4})
+    length = result.logs[0].time[-1] - result.logs[0].time[0]
+    assert 0.5 * length - 0.15 < seen[0][0] <= 0.6 * length - 0.1
 
 
 def test_a_solver_that_stops_before_it_converges_is_reported(pieces, monkeypatch):
-    monkeypatch.setattr(motor_map, "MOST_STEPS", 2)
-    fit = _fit(pieces, "blackbox", "ab", split={"leave_one_out": False})
-    assert "motors: the solver stopped after 2 steps, before it converged" in fit.warnings
+    monkeypatch.setattr(regression, "MAX_STEPS", 2)
+    result = _fit(pieces, "blackbox", "ab", split={"leave_one_out": False})
+    assert "motors: the solver stopped after 2 steps, before it converged" in result.warnings
     monkeypatch.undo()
-    fit = _fit(pieces, "blackbox", "ab", split={"leave_one_out": False})
-    assert not any("stopped" in line for line in fit.warnings)
+    result = _fit(pieces, "blackbox", "ab", split={"leave_one_out": False})
+    assert not any("stopped" in line for line in result.warnings)
 
 
 @pytest.mark.parametrize(
@@ -399,18 +399,21 @@ def test_a_solver_that_stops_before_it_converges_is_reported(pieces, monkeypatch
 )
 def test_keys_without_effect_on_a_racing_quadcopter_are_refused(key, changes, pieces):
     with pytest.raises(
-        InputError, match=rf"^{key} is .* no effect .* racing: .*; allowed: "
+        InputError, match=rf"^{key} is .* no effect.* racing: .*; allowed: "
     ) as caught:
         _fit(pieces, "blackbox", "ab", **changes)
     assert "\n" not in str(caught.value)
 
 
 def test_axes_that_are_not_fitted_keep_the_base_vehicle(pieces):
-    fit = _fit(pieces, "blackbox", "ab", nominal={"axes": ["az"]}, split={"leave_one_out": False})
+    result = _fit(
+        pieces, "blackbox", "ab", nominal={"axes": ["az"]}, split={"leave_one_out": False}
+    )
     base = read_vehicle("5inch.yaml").racing
-    assert fit.constants.k_w != base.k_w and fit.constants.k_x == base.k_x
-    assert [axis.axis for axis in fit.axes] == ["az"] and not fit.held_out
-    assert "held out: none" in racing_tables(fit)
+    found = result.constants[ALL]
+    assert found.k_w != base.k_w and found.k_x == base.k_x
+    assert [part.group for part in result.estimates] == ["az", "motors"] and not result.held_out
+    assert "held out: none" in tables(result)
 
 
 def test_no_key_of_the_base_vehicle_is_lost(pieces, tmp_path):

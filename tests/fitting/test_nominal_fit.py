@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.fitting.config import LogsConfig, PrepareConfig
+from quadjax.fitting.axes import fit_axes, fit_axis, with_estimates
+from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_logs, write_log
 from quadjax.fitting.lag import fit_motor_lag
-from quadjax.fitting.least_squares import check_signs, fit_axis, fit_nominal, with_fit
 from quadjax.fitting.nominal import (
     AXES,
     CONSTANTS,
@@ -17,8 +17,10 @@ from quadjax.fitting.nominal import (
     nominal,
     regressors,
 )
-from quadjax.fitting.prepare import airborne, prepare
+from quadjax.fitting.prepare import airborne, flight_rows, prepare
+from quadjax.fitting.regression import check_signs
 from quadjax.fitting.signals import derivative, low_pass, noise_level
+from quadjax.vehicle.battery import BatteryConfig
 from tests import reference as ref
 
 from .conftest import RACING_INERTIA
@@ -94,6 +96,16 @@ def test_noise_level_sees_noise_and_not_motion():
     np.testing.assert_allclose(noise_level(motion + noise, 500.0, 16.0), [20.0, 0.01], rtol=0.1)
 
 
+def samples_of(logs, constants):
+    """Every row in flight."""
+    return prepare(logs, constants, 16.0, flight_rows(logs))
+
+
+def lag_of(logs, tau):
+    """The motors' lag, without a battery's limit."""
+    return fit_motor_lag(logs, flight_rows(logs), tau, 7500.0, BatteryConfig())[0]
+
+
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
@@ -102,9 +114,9 @@ def flights(tmp_path_factory):
 
 
 def test_constants_of_a_known_model_come_back(bebop, flights):
-    samples = prepare(flights, bebop, PrepareConfig(), 2.0)
+    samples = samples_of(flights, bebop)
     worst = 0.0
-    for fit in fit_nominal(samples, bebop.replace(k_w=1.0)):
+    for fit in fit_axes(samples, bebop.replace(k_w=1.0)):
         assert not fit.warnings and fit.condition < 10.0 and fit.r_squared > 0.97
         for name, value, error in zip(fit.names, fit.values, fit.standard_errors, strict=True):
             truth = getattr(bebop, name)
@@ -115,13 +127,11 @@ def test_constants_of_a_known_model_come_back(bebop, flights):
 
 
 def test_motor_lag_comes_back(flights):
-    flying = [airborne(log, PrepareConfig()) for log in flights]
-    fit = fit_motor_lag(flights, flying, 0.1)
-    assert abs(fit.tau / 0.06 - 1.0) < 0.01 and fit.warning is None and fit.r_squared > 0.99
-    unknown = fit_motor_lag(
-        [f.__class__(**f.__dict__ | {"rpm_command": None}) for f in flights], flying, 0.1
-    )
-    assert unknown.tau == 0.1 and "no commanded" in unknown.warning
+    fit = lag_of(flights, 0.1)
+    assert abs(fit.constants["tau"] / 0.06 - 1.0) < 0.01 and fit.r_squared > 0.99
+    assert not fit.warnings and fit.names == ("tau",)
+    unknown = lag_of([replace(log, rpm_command=None) for log in flights], 0.1)
+    assert unknown.constants["tau"] == 0.1 and "no commanded" in unknown.warnings[0]
 
 
 def test_hover_excites_little_and_says_so(bebop, tmp_path):
@@ -135,13 +145,13 @@ def test_hover_excites_little_and_says_so(bebop, tmp_path):
     columns |= {f"rpm_ref_{i}": np.full(len(columns["time"]), 7497.0) for i in range(1, 5)}
     write_log(tmp_path / "hover.csv", columns)
     logs = read_logs(LogsConfig(files=["hover.csv"], format="paparazzi"), tmp_path)
-    fits = fit_nominal(prepare(logs, bebop, PrepareConfig(), 2.0), bebop)
+    fits = fit_axes(samples_of(logs, bebop), bebop)
     said = " ".join(line for fit in fits for line in fit.warnings)
     for name in ("k_x", "k_y", "k_z", "k_h", "k_pv", "k_qv", "k_rr"):
         assert f"{name} (" in said
     assert "k_w (" not in said
-    lag = fit_motor_lag(logs, [airborne(log, PrepareConfig()) for log in logs], 0.06)
-    assert lag.tau == 0.06 and "never change" in lag.warning
+    lag = lag_of(logs, 0.06)
+    assert lag.constants["tau"] == 0.06 and "never change" in lag.warnings[0]
 
 
 def test_a_column_of_zeros_keeps_the_base_value(bebop, flights):
@@ -149,26 +159,22 @@ def test_a_column_of_zeros_keeps_the_base_value(bebop, flights):
         log.__class__(**log.__dict__ | {"body_velocity": 0 * log.body_velocity})
         for log in flights[:1]
     ]
-    fits = fit_nominal(prepare(still, bebop, PrepareConfig(), 2.0), bebop)
-    kept = with_fit(bebop, fits)
+    fits = fit_axes(samples_of(still, bebop), bebop)
+    kept = with_estimates(bebop, fits)
     assert kept.k_x == bebop.k_x and kept.k_h == bebop.k_h
-    assert "not fitted to the logs" in " ".join(fits[0].warnings)
+    assert "the logs do not determine it" in " ".join(fits[0].warnings)
 
 
-def test_constants_of_an_impossible_sign_are_refused_unless_asked_for(bebop, flights):
-    samples = prepare(flights[:1], bebop, PrepareConfig(), 2.0)
-    check_signs(fit_nominal(samples, bebop))
+def test_constants_of_an_impossible_sign_are_refused(bebop, flights):
+    samples = samples_of(flights[:1], bebop)
+    check_signs(fit_axes(samples, bebop))
     negated = replace(samples, measured=samples.measured * [1, 1, 1, -1, 1, 1])
     with pytest.raises(InputError, match=r"k_p = -1.*\(Mx\), expected above 0"):
-        check_signs(fit_nominal(negated, bebop))
+        check_signs(fit_axes(negated, bebop))
     measured = np.array(samples.measured)
     measured[:, 5] -= 0.002 * samples.regressors["Mz"][:, 2]
-    kept, asked = (
-        fit_nominal(replace(samples, measured=measured), bebop, any_sign)[5]
-        for any_sign in (False, True)
-    )
+    kept = fit_axes(replace(samples, measured=measured), bebop)[5]
     assert kept.values[2] == bebop.k_rr and "impossible below 0" in kept.warnings[0]
-    assert asked.values[2] == pytest.approx(bebop.k_rr - 0.002, rel=0.1)
 
 
 def test_ground_time_is_trimmed(bebop, flights):
@@ -176,7 +182,7 @@ def test_ground_time_is_trimmed(bebop, flights):
     idle = np.array(log.rpm)
     idle[:500], idle[-250:] = 2500.0, 2500.0
     idle[1000:1025] = 2500.0  # a dive, not a landing
-    rows = airborne(log.__class__(**log.__dict__ | {"rpm": idle}), PrepareConfig())
+    rows = airborne(replace(log, rpm=idle))
     assert not rows[:500].any() and not rows[-250:].any() and rows[500:-250].all()
 
 
@@ -185,7 +191,7 @@ def test_the_nominal_model_explains_flights_of_a_real_drone(bebop, plain_flights
     base = bebop.replace(**RACING_INERTIA)
     files = [str(path) for path in plain_flights]
     logs = read_logs(LogsConfig(files=files), plain_flights[0].parent)
-    fits = fit_nominal(prepare(logs, base, PrepareConfig(), 2.0), base)
+    fits = fit_axes(samples_of(logs, base), base)
     least = {"ax": 0.92, "ay": 0.94, "az": 0.94, "Mx": 0.52, "My": 0.50}
     found = {axis: fit.r_squared for axis, fit in zip(AXES, fits, strict=True)}
     print(found)

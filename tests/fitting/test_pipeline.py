@@ -6,10 +6,10 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
-from quadjax.fitting import pipeline
+from quadjax.fitting import fit as fits
 from quadjax.fitting.config import load_fit_config
+from quadjax.fitting.fit import fit
 from quadjax.fitting.flight_log import read_logs, write_log
-from quadjax.fitting.pipeline import run_fit
 from quadjax.fitting.report import tables
 from quadjax.vehicle.residual import read_residual
 from quadjax.vehicle.vehicle_file import read_vehicle
@@ -35,7 +35,7 @@ def fitted(folder):
             (folder / "runs/all" / name).write_text("earlier")
     arguments = [
         f"logs.files=[{folder}/*.csv]",
-        "residual={seeds: 2, epochs: 10, distill_epochs: 20, batch: 256}",
+        "residual={seeds: 2, epochs: 10, distill_epochs: 20}",
     ]
     place = ["--output", folder / "runs", "--name", "all", "--overwrite"]
     assert run("fit", CONFIG, *arguments, *place) == 0
@@ -45,7 +45,7 @@ def fitted(folder):
 @pytest.mark.slow
 def test_the_command_writes_report_vehicle_residual_and_figures(fitted):
     text = (fitted / "report.txt").read_text()
-    for word in ("nominal model", "training:", "held out:", "az", "Mz", "per fold"):
+    for word in ("model motor", "training (", "held out", "az", "Mz", "per fold"):
         assert word in text
     report = json.loads((fitted / "report.json").read_text())
     assert set(report["held_out"]) == {"flight_0", "flight_1", "flight_2"}
@@ -79,7 +79,7 @@ def test_an_earlier_fit_is_replaced_only_on_request(folder, tmp_path, monkeypatc
     def stop(config, *_):
         raise InputError(f"fitting {config.name}")
 
-    monkeypatch.setattr(pipeline, "run_fit", stop)
+    monkeypatch.setattr(fits, "fit", stop)
     arguments = [f"logs.files=[{folder}/*.csv]", "--output", tmp_path, "--name", "mine"]
     assert run("fit", CONFIG, *arguments) == 2
     assert capsys.readouterr().err == "error: fitting mine\n"
@@ -96,7 +96,7 @@ def test_an_earlier_fit_is_replaced_only_on_request(folder, tmp_path, monkeypatc
 
 def test_flights_are_held_out_of_the_nominal_model_without_networks_too(folder):
     arguments = [f"logs.files=[{folder}/*.csv]", "residual.fit=false"]
-    result = run_fit(load_fit_config(CONFIG, arguments), folder)
+    result = fit(load_fit_config(CONFIG, arguments), folder)
     assert [part.name for part in result.held_out] == ["flight_0", "flight_1", "flight_2"]
     for part in result.held_out:
         assert not part.change.any()
@@ -110,17 +110,17 @@ def test_the_choice_of_constants_for_a_held_out_flight_is_made_without_it(bebop,
         (tmp_path / f"{name}.csv").write_bytes((folder / f"{name}.csv").read_bytes())
     write_log(tmp_path / "flight_2.csv", simulated(2, k_x=0.5))
     arguments = [f"logs.files=[{tmp_path}/*.csv]", "residual.fit=false"]
-    result = run_fit(load_fit_config(CONFIG, arguments), folder)
-    assert "ax" in result.harmful and result.vehicle.motor.k_x == bebop.k_x
-    without = result.fits[frozenset({2})].constants
+    result = fit(load_fit_config(CONFIG, arguments), folder)
+    assert "ax" in result.kept and result.vehicle.motor.k_x == bebop.k_x
+    without = result.constants[frozenset({2})]
     assert without.k_x != bebop.k_x and without.k_x == pytest.approx(bebop.k_x, rel=0.05)
 
 
 @pytest.mark.slow
 def test_a_report_of_one_seed_says_that_the_spread_is_not_tested(folder):
-    short = "residual={seeds: 1, epochs: 2, distill_epochs: 2, batch: 2048}"
+    short = "residual={seeds: 1, epochs: 2, distill_epochs: 2}"
     config = load_fit_config(CONFIG, [f"logs.files=[{folder}/*.csv]", short])
-    text = tables(run_fit(config, folder))
+    text = tables(fit(config, folder))
     assert "residual.seeds is 1: gains are not compared" in text and "nan" not in text
 
 
@@ -157,7 +157,7 @@ def test_bad_overrides_are_one_line(folder, arguments):
         else [f"logs.files=[{folder}/*.csv]", *arguments]
     )
     with pytest.raises(InputError) as caught:
-        run_fit(load_fit_config(CONFIG, arguments), CONFIG.parent)
+        fit(load_fit_config(CONFIG, arguments), CONFIG.parent)
     assert "\n" not in str(caught.value)
 
 
@@ -187,7 +187,7 @@ def test_progress_is_printed_without_a_terminal(folder, tmp_path, monkeypatch, c
         read_logs(config.logs.replace(files=config.logs.files[:1]), folder, report)
         raise InputError("stopped")
 
-    monkeypatch.setattr(pipeline, "run_fit", stop)
+    monkeypatch.setattr(fits, "fit", stop)
     logs = f"logs.files={folder}/flight_0.csv"
     assert run("fit", CONFIG, logs, "--output", tmp_path) == 2
     assert capsys.readouterr().err == "reading flight_0.csv\nerror: stopped\n"
@@ -203,10 +203,10 @@ def test_flights_left_out_are_not_harmed(plain_flights, tmp_path):
     """A shorter training than the default's."""
     arguments = [
         f"logs.files=[{plain_flights[0].parent}/*.csv]",
-        "residual={seeds: 3, epochs: 15, distill_epochs: 40}",
+        "residual={seeds: 2, epochs: 15, distill_epochs: 20}",
     ]
     config = load_fit_config(REPOSITORY / "configs/fit/racing_quad.yaml", arguments)
-    change = np.array([part.change[2:] for part in run_fit(config, tmp_path).held_out])
+    change = np.array([part.change[2:] for part in fit(config, tmp_path).held_out])
     print(change)
     assert change[:, 0].mean() < -0.08
     assert change.max() < 0.05

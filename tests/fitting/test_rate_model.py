@@ -1,14 +1,15 @@
 """The rate-and-thrust model from flights with an inner loop: known constants come back."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from quadjax.fitting.columns import paparazzi_columns
-from quadjax.fitting.config import LogsConfig, PrepareConfig
+from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log, write_log
-from quadjax.fitting.prepare import airborne, prepare
+from quadjax.fitting.prepare import flight_rows
 from quadjax.fitting.rate_model import fit_rate_model
 from quadjax.fitting.signals import first_order
 from quadjax.vehicle.vehicle_file import read_vehicle
@@ -56,9 +57,18 @@ def log(logs):
 
 
 def fitted(logs):
-    flying = [airborne(log, PrepareConfig()) for log in logs]
-    samples = prepare(logs, read_vehicle("bebop1.yaml").motor, PrepareConfig(), 2.0)
-    return fit_rate_model(logs, flying, list(range(len(logs))), samples, BASE)
+    """Values, standard errors and R^2 by name, and warnings."""
+    base = read_vehicle("bebop1.yaml").constants("rate").replace(**BASE)
+    found = fit_rate_model(logs, flight_rows(logs), base, 16.0)
+    tables = [(part.constants, part.errors) for part in found]
+    values, errors = ({k: x for t in tables for k, x in t[i].items()} for i in (0, 1))
+    explained = {part.names[0]: part.r_squared for part in found}
+    return SimpleNamespace(
+        values=values,
+        standard_errors=errors,
+        r_squared=explained,
+        warnings=[line for part in found for line in part.warnings],
+    )
 
 
 def test_known_constants_come_back(logs):
@@ -71,7 +81,7 @@ def test_known_constants_come_back(logs):
 
 def test_flights_without_an_inner_loop_have_no_such_model(log):
     without = dataclasses.replace(log, rate_command=None)
-    assert fitted([without]) is None
+    assert not fitted([without]).values
 
 
 def test_commands_that_never_change_keep_the_base_value(log):
@@ -85,6 +95,6 @@ def test_the_order_of_the_flights_has_no_influence(log):
     parts = [log[:833], log[833:]]
     first, second = fitted(parts), fitted(parts[::-1])
     for name in TRUE:
-        assert first.values[name] == pytest.approx(second.values[name], rel=1e-9)
+        assert first.values[name] == pytest.approx(second.values[name], rel=1e-4)
         errors = first.standard_errors[name], second.standard_errors[name]
-        assert errors[0] == pytest.approx(errors[1], rel=1e-9)
+        assert errors[0] == pytest.approx(errors[1], rel=1e-4)

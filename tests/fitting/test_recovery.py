@@ -20,7 +20,7 @@ def test_the_truth_is_recovered_and_nothing_is_not(bebop, flown):
     vehicle, motion = flown
     whole = residual_recovered(vehicle, bebop, vehicle.residual, motion)
     np.testing.assert_allclose(whole, 1.0, atol=1e-9)
-    assert (residual_recovered(vehicle, bebop, zero_residual(bebop), motion) < 0.01).all()
+    assert (residual_recovered(vehicle, bebop, zero_residual(bebop).residual, motion) < 0.01).all()
 
 
 def test_what_the_nominal_model_takes_over_counts(bebop, flown):

@@ -4,19 +4,35 @@ import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.fitting.config import PrepareConfig, ResidualConfig, SplitConfig
-from quadjax.fitting.least_squares import r_squared
+from quadjax.fitting.axes import fit_axes, with_estimates
+from quadjax.fitting.config import ResidualConfig, SplitConfig
 from quadjax.fitting.nominal import AXES, ModelInputs, nominal, regressors, residual_output
 from quadjax.fitting.prediction import predict
 from quadjax.fitting.prepare import Samples, join
-from quadjax.fitting.residual_fit import ALL, fit_residuals, zero_residual
-from quadjax.fitting.selection import FoldMoments, select
+from quadjax.fitting.regression import r_squared
+from quadjax.fitting.residual_fit import fit_residuals, zero_residual
+from quadjax.fitting.residual_training import NETWORKS, mirrored
+from quadjax.fitting.selection import select
 from quadjax.fitting.simulate import random_residual
-from quadjax.fitting.split import NOWHERE, TEST, make_split
-from quadjax.fitting.tasks import NETWORKS, mirrored
+from quadjax.fitting.split import ALL, NOWHERE, TEST, make_split
 from quadjax.vehicle.residual import read_residual, residual_force_moment, write_residual
 
-FAST = ResidualConfig(seeds=2, epochs=12, distill_epochs=40, batch=256)
+FAST = ResidualConfig(seeds=2, epochs=12, distill_epochs=40)
+
+
+def _split(samples, flights, **config):
+    return make_split(samples.flight, samples.time, flights, SplitConfig(**config))
+
+
+def _fitted(samples, split, base, config):
+    """The constants and the residual of each complete fit."""
+
+    def constants(left_out):
+        return with_estimates(base, fit_axes(samples[split.learned(left_out)], base))
+
+    complete = split.complete(True)
+    fits = fit_residuals(samples, split, base, constants, complete, config, 0)
+    return {left_out: (constants(left_out), fits[left_out]) for left_out in complete}
 
 
 def _samples(constants, residual, noise, flights=3, seconds=40.0, seed=0):
@@ -54,9 +70,9 @@ def _samples(constants, residual, noise, flights=3, seconds=40.0, seed=0):
 def recovered(bebop):
     truth = random_residual(4, 0.8, (0.01, 0.01, 0.004))
     samples = _samples(bebop, truth, noise=0.1)
-    split = make_split(samples, ["a", "b", "c"], SplitConfig())
-    config = FAST.replace(epochs=40, mirror="off")
-    return truth, samples, split, fit_residuals(samples, split, bebop, config, 0, True)
+    split = _split(samples, ["a", "b", "c"])
+    config = FAST.replace(epochs=20, mirror="off")
+    return truth, samples, split, _fitted(samples, split, bebop, config)
 
 
 @pytest.mark.slow
@@ -64,12 +80,12 @@ def test_a_known_residual_is_recovered_on_held_out_flights(bebop, recovered):
     truth, samples, split, fits = recovered
     for number in range(3):
         rows = split.fold == number
-        fit = fits[frozenset({number})]
+        constants, fit = fits[frozenset({number})]
         motion = samples.motion[rows]
         expected = residual_output(truth, motion)
         got = residual_output(fit.residual, motion)
         # The nominal fit takes its share of the residual: the sum is what must come back.
-        got = got + (nominal(fit.constants, motion) - nominal(bebop, motion))[:, 2:]
+        got = got + (nominal(constants, motion) - nominal(bebop, motion))[:, 2:]
         found = r_squared(expected, got)
         print("held-out R^2 of the residual", found)
         assert (found > 0.95).all()
@@ -78,7 +94,7 @@ def test_a_known_residual_is_recovered_on_held_out_flights(bebop, recovered):
 @pytest.mark.slow
 def test_the_file_is_what_was_fitted(tmp_path, bebop, recovered):
     _, samples, _, fits = recovered
-    residual = fits[ALL].residual
+    residual = fits[ALL][1].residual
     assert residual.thrust[0][0].shape == (7, 32) and residual.moment[1][0].shape == (32, 3)
     write_residual(tmp_path / "residual.npz", residual, {})
     read = read_residual(tmp_path / "residual.npz")
@@ -96,55 +112,65 @@ def test_the_file_is_what_was_fitted(tmp_path, bebop, recovered):
 
 @pytest.mark.slow
 def test_noise_is_rejected_and_so_is_what_nothing_validates(bebop):
-    samples = _samples(bebop, zero_residual(bebop), noise=1.0, flights=2, seconds=20.0)
-    split = make_split(samples, ["a", "b"], SplitConfig())
-    fits = fit_residuals(samples, split, bebop, FAST, 0, True)
-    fit = fits[ALL]
+    samples = _samples(bebop, zero_residual(bebop).residual, noise=1.0, flights=2, seconds=20.0)
+    split = _split(samples, ["a", "b"])
+    fits = _fitted(samples, split, bebop, FAST)
+    constants, fit = fits[ALL]
     for axis, choice in fit.choices.items():
         assert choice.rejected and choice.scale == 0.0, axis
     assert not residual_output(fit.residual, samples.motion).any()
-    assert np.abs(predict("", samples, split.fold >= 0, fit).change).max() < 1e-9
+    assert (
+        np.abs(predict("", samples, split.fold >= 0, constants, fit.residual).change).max() < 1e-9
+    )
     # Without one of two flights there is none left to choose on.
     for left_out in (frozenset({0}), frozenset({1})):
-        assert all("no second" in c.rejected for c in fits[left_out].choices.values())
+        assert all("no second" in c.rejected for c in fits[left_out][1].choices.values())
 
 
-def _score(cross, square, spread=0.0):
-    """One epoch, one axis, two seeds about the same moments."""
-    seeds = np.array([cross - spread, cross + spread])[:, None, None]
-    return FoldMoments(np.array([[cross]]), np.array([[square]]), seeds, np.full((2, 1, 1), square))
+def _scores(*folds, spread=0.0):
+    """Of one epoch and axis, with two seeds about the same moments (cross, square) of each fold."""
+    members = [[(c, q), (c - spread, q), (c + spread, q)] for c, q in folds]
+    return np.array(members)[:, None, :, None, :]
+
+
+HELPED, HARMED = (0.5, 0.5), (0.05, 0.3)
 
 
 def test_selection_shrinks_for_the_flight_that_gets_worse():
-    helped, harmed = _score(0.5, 0.5), _score(0.05, 0.3)
-    bold = select(("az",), {False: [helped, harmed]}, ResidualConfig(caution=0.0))[0]
-    wary = select(("az",), {False: [helped, harmed]}, ResidualConfig(caution=3.0))[0]
-    assert 0.0 < wary.scale < bold.scale
-    assert min(wary.gains) > min(bold.gains)
+    alone, both = (
+        select(("az",), {False: _scores(*folds)}, 0.1)[0]
+        for folds in ((HELPED, HELPED), (HELPED, HARMED))
+    )
+    assert 0.0 < both.scale < alone.scale
+
+
+def test_no_fold_is_harmed_by_more_than_the_limit():
+    """The mean over the folds alone would choose the largest scale."""
+    folds = [(0.9, 0.9)] * 9 + [(-0.2, 0.3)]
+    free, limited = (select(("az",), {False: _scores(*folds)}, harm)[0] for harm in (1.0, 0.1))
+    assert min(free.gains) < -0.1 <= min(limited.gains)
+    assert 0.0 < limited.scale < free.scale
 
 
 def test_small_and_insignificant_gains_are_rejected():
-    small = select(("az",), {False: [_score(0.05, 0.1)] * 2}, ResidualConfig(min_gain=0.05))[0]
-    assert small.scale == 0.0 and "min_gain" in small.rejected
-    insignificant = select(("az",), {False: [_score(0.2, 0.2, spread=0.3)] * 2}, ResidualConfig())[
-        0
-    ]
-    assert insignificant.scale == 0.0 and "seeds" in insignificant.rejected
-    useless = select(("az",), {False: [_score(-0.2, 0.2)] * 2}, ResidualConfig())[0]
+    small = select(("az",), {False: _scores((0.005, 0.005), (0.005, 0.005))}, 0.1)[0]
+    assert small.scale == 0.0 and "below 1%" in small.rejected
+    unsure = select(("az",), {False: _scores((0.2, 0.2), (0.2, 0.2), spread=0.3)}, 0.1)[0]
+    assert unsure.scale == 0.0 and "seeds" in unsure.rejected
+    useless = select(("az",), {False: _scores((-0.2, 0.2), (-0.2, 0.2))}, 0.1)[0]
     assert useless.scale == 0.0 and "no better" in useless.rejected
 
 
 def test_a_candidate_that_is_rejected_does_not_displace_an_accepted_one():
     """The mirrored one has the lower error, but its seeds disagree by more than its gain."""
-    noisy, sound = [_score(0.3, 0.3, spread=0.4)] * 2, [_score(0.2, 0.2)] * 2
-    chosen = select(("az",), {True: noisy, False: sound}, ResidualConfig())[0]
+    noisy = _scores((0.3, 0.3), (0.3, 0.3), spread=0.4)
+    chosen = select(("az",), {True: noisy, False: _scores((0.2, 0.2), (0.2, 0.2))}, 0.1)[0]
     assert chosen.rejected is None and chosen.scale > 0.0 and not chosen.mirror
 
 
 def test_one_seed_has_no_spread():
-    moments = np.array([[0.2]])
-    one = FoldMoments(moments, moments, moments[None], moments[None])
-    chosen = select(("az",), {False: [one, one]}, ResidualConfig(seeds=1))[0]
+    one = _scores((0.2, 0.2), (0.2, 0.2))[:, :, :2]
+    chosen = select(("az",), {False: one}, 0.1)[0]
     assert np.isnan(chosen.seed_spread) and chosen.rejected is None
 
 
@@ -163,27 +189,23 @@ def test_mirror_image_is_one_of_the_nominal_model(bebop):
 
 
 def test_split_by_flight_and_by_time(bebop):
-    samples = _samples(bebop, zero_residual(bebop), noise=0.1, seconds=20.0)
+    samples = _samples(bebop, zero_residual(bebop).residual, noise=0.1, seconds=20.0)
     flights = ["a", "b", "c"]
-    split = make_split(samples, flights, SplitConfig(test_flights=["b"]))
+    split = _split(samples, flights, test_flights=["b"])
     assert split.by == "flight" and split.names == ("a", "c")
     assert (split.fold[samples.flight == 1] == TEST).all()
-    split = make_split(samples, flights, SplitConfig(by="time", test_fraction=0.25))
+    split = _split(samples, flights, by="time", test_fraction=0.25)
     for flight in range(3):
         fold = split.fold[samples.flight == flight]
         assert abs((fold == TEST).mean() - 0.25) < 0.01
         order = fold[(fold != NOWHERE) & (fold != TEST)]
         assert (np.diff(order) >= 0).all() and set(order) == {0, 1, 2, 3}
     one = samples[samples.flight == 0]
-    assert make_split(one, ["a"], SplitConfig()).by == "time"
+    assert _split(one, ["a"]).by == "time"
     for config in (
-        SplitConfig(test_flights=["d"]),
-        SplitConfig(test_flights=flights),
-        SplitConfig(by="flight", test_flights=["a", "b"]),
+        {"test_flights": ["d"]},
+        {"test_flights": flights},
+        {"by": "flight", "test_flights": ["a", "b"]},
     ):
         with pytest.raises(InputError):
-            make_split(samples, flights, config)
-
-
-def test_prepare_config_has_the_published_filter():
-    assert PrepareConfig().cutoff == 16.0
+            _split(samples, flights, **config)

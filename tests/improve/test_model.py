@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 import quadjax.improve as package
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.fitting.battery import BatteryFit
 from quadjax.fitting.flight_log import FlightLog, read_log
+from quadjax.fitting.lag import BatteryFit
 from quadjax.fitting.nominal import AXES
 from quadjax.flights import save
 from quadjax.improve.model import SPEEDS, Model, Refit, check_speeds, refit, refusal
