@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.core.files import read_json
-from quadjax.fitting.regression import r_squared
 from quadjax.fitting.log_frames import rotation_of_euler
 from quadjax.fitting.nominal import AXES, CONSTANTS, ModelInputs, nominal, residual_output
+from quadjax.fitting.regression import r_squared
 from quadjax.fitting.simulate import SensorNoise, simulate_flight
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import read_residual

@@ -1,13 +1,15 @@
+import sys
+
 import jax
 import numpy as np
 import pytest
 
+from benchmarks import recovery
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.simulate import random_residual
 from quadjax.vehicle.residual import read_residual, residual_force_moment, write_residual
 from tests.commands import run
-from tests.scripts import run_script
 
 from .conftest import REPOSITORY
 
@@ -66,15 +68,8 @@ def test_bad_input_is_one_line_and_status_2(capsys, arguments, names):
     assert len(lines) == 1 and names in lines[0]
 
 
-def test_the_comparison_with_a_known_model_needs_a_fit(capsys):
-    for words, names in ((("--flights", "none"), "--flights"), ((), "none/vehicle.yaml")):
-        assert run_script("recovery", "--fit", "none", *words) == 2
-        error = capsys.readouterr().err
-        assert names in error and error.count("\n") == 1
-
-
 @pytest.mark.slow
-def test_logs_of_a_known_model_are_fitted_and_compared(tmp_path, capsys):
+def test_logs_of_a_known_model_are_fitted_and_compared(tmp_path, monkeypatch, capsys):
     logs = tmp_path / "logs"
     arguments = ["--random-residual", 5, "--moment-std", 0.005, "--flights", 2, "--seconds", 5]
     assert run("logs", "--output", logs, *arguments) == 0
@@ -90,6 +85,7 @@ def test_logs_of_a_known_model_are_fitted_and_compared(tmp_path, capsys):
     assert run("fit", REPOSITORY / "configs/fit/paparazzi.yaml", *arguments, fast) == 0
     capsys.readouterr()
     arguments = ["--fit", tmp_path / "known", "--residual", logs / "residual.npz", "--flights", 1]
-    assert run_script("recovery", *arguments) == 0
+    monkeypatch.setattr(sys, "argv", ["recovery", *map(str, arguments)])
+    recovery.main()
     output = capsys.readouterr().out
     assert "k_w" in output and "R^2 of residual" in output
