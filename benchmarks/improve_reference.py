@@ -15,8 +15,8 @@ from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.files import write_json
 from quadjax.fitting.config import load_fit_config
-from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.fit import fit as fit_drone
+from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.report import write_results
 from quadjax.improve.model import Model
 from quadjax.improve.rounds import CHECK_SEED, fly_and_log, fly_checks, tune
