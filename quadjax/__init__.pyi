@@ -7,8 +7,8 @@ from quadjax.core.environment import Environment as Environment
 from quadjax.core.errors import InputError as InputError
 from quadjax.core.resources import presets as presets
 from quadjax.core.sections import Section as Section
-from quadjax.evaluation.evaluation import Evaluation as Evaluation
 from quadjax.evaluation.evaluation import evaluate as evaluate
+from quadjax.evaluation.result import Evaluation as Evaluation
 from quadjax.export.convert import export_c as export_c
 from quadjax.learners.ppo.hyperparameters import PPO as PPO
 from quadjax.learners.section import LearnerSection as LearnerSection

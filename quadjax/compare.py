@@ -13,9 +13,10 @@ from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import file_record, provenance
 from quadjax.core.yaml_files import to_yaml
 from quadjax.evaluation.conditions import Conditions
-from quadjax.evaluation.evaluation import Evaluation, Evaluations, evaluate
+from quadjax.evaluation.evaluation import evaluate
 from quadjax.evaluation.plants import MOTOR_COMMAND, RECORDED
 from quadjax.evaluation.report import fastest_responses, write_report
+from quadjax.evaluation.result import Evaluation, Evaluations
 from quadjax.evaluation.rows import Row, common, crash_counts, interval
 from quadjax.evaluation.table import Table, interval_text, lap_table
 from quadjax.flights.flight import Flight

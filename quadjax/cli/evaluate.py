@@ -15,13 +15,13 @@ from quadjax.core.resources import PRETRAINED, policy_names, preset_names
 
 if TYPE_CHECKING:
     from quadjax.config.schema import Config as RaceConfig
-    from quadjax.evaluation.evaluation import Evaluation
+    from quadjax.evaluation.result import Evaluation
     from quadjax.policy.file import Policy
     from quadjax.race.laps import Actor
 
 DRAWINGS = ("states", "figure", "figure_3d", "signals", "attitude", "animation")
 LENGTHS = ("laps", "gates", "seconds")
-OF_LAPS = ("deterministic", "fixed_point", "range_", "offsets", "start", *DRAWINGS)
+OF_LAPS = ("fixed_point", "range_", "offsets", *DRAWINGS)
 RECORDED = Group("Recorded flights, in place of policies", sort_key=2)
 States = Annotated[
     Path | None,
@@ -157,19 +157,23 @@ def evaluate(
         from quadjax.core.files import write_json
         from quadjax.evaluation.conditions import read_conditions
         from quadjax.evaluation.evaluation import evaluate as fly
-        from quadjax.evaluation.evaluation import joined, tabulate
+        from quadjax.evaluation.result import joined, tabulate
 
     listed = None if conditions is None else read_conditions(conditions, only)
+    for name in ("start", "deterministic"):
+        if listed is not None and listed.says(name):
+            opt.refuse(f"with --conditions {conditions}", name)
     entries = [_entry(file, config, overrides) for file in files]
     with steps() as show:
         show("compiling and simulating")
         if listed is not None:
             options = common | {"conditions": listed, "progress": show}
-            flown = joined(fly(*entry, name=label, **options) for label, entry in entries)
+            options |= {"start": start, "deterministic": deterministic}
+            flown = joined(fly(*entry, name=file, **options) for file, entry in entries)
             text, record = flown.table(format or "markdown"), flown.to_json()
         else:
-            entry, common = entries[0][1], common | {"start": start}
-            common |= {"name": str(files[0])}
+            (file, entry), common = entries[0], common | {"start": start}
+            common |= {"name": file}
             if fixed_point:
                 actor = _fixed_point(*entry, range_ or ())
                 results = {
@@ -192,14 +196,14 @@ def evaluate(
 def _entry(
     path: Path, config: str | None, overrides: Sequence[str]
 ) -> tuple[str, tuple["Policy", "RaceConfig"]]:
-    """The label of a policy file, or of a run's folder; the policy and the race that it flies."""
+    """The path of a policy file; the policy and the race that it flies."""
     from quadjax.config.loading import load_config
     from quadjax.config.race import race_of
     from quadjax.policy.file import Policy
     from quadjax.policy.pilot import fit_race
     from quadjax.policy.race import policy_path, race_of_policy
 
-    file, label = policy_path(path), path.name if path.is_dir() else path.stem
+    file = policy_path(path)
     if config is None:
         policy = Policy.load(file)
         try:
@@ -211,7 +215,7 @@ def _entry(
         race = load_config(config, overrides)
         policy = Policy.load(file, race)
     fit_race(*race_of(race), policy, str(file))
-    return label, (policy, race)
+    return str(file), (policy, race)
 
 
 def _fixed_point(policy: "Policy", race: "RaceConfig", ranges: Sequence[str]) -> "Actor":

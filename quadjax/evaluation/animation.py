@@ -74,7 +74,7 @@ def write_animation(
     for axes, label in ((above, "y, east (m)"), (side, "height (m)")):
         tidy(axes)
         axes.set_ylabel(label, color=INK)
-    clock = above.set_title("", loc="left", color=INK, fontsize=12, family="monospace")
+    clock = above.set_title("0.00 s", loc="left", color=INK, fontsize=12, family="monospace")
     last = frame_count(flights) - 1
 
     def draw(frame: int) -> list:

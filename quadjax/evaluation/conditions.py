@@ -104,7 +104,7 @@ class Conditions(Section):
         False, description="a column for each condition, of the first of columns, a line per policy"
     )
     overrides: Words = Field((), description="KEY=VALUE of the race's config, of all conditions")
-    start: Start = Field("hover", description="of the flights")
+    start: Start | None = Field(None, description="of the flights; null: as the option says")
     deterministic: bool | None = Field(None, description="mean actions; null: as the option says")
     runs: int | None = Field(None, ge=1, le=MAX_RUNS, description="flights; null: evaluate.runs")
     laps: int | None = Field(None, ge=1, le=MAX_LAPS, description="of a flight; null: the race's")
@@ -133,6 +133,11 @@ class Conditions(Section):
         if self.seconds and (self.laps or self.gates):
             raise ValueError(f"seconds is {self.seconds}, allowed: null with laps or gates")
         return self
+
+    def says(self, name: str) -> bool:
+        """Whether the list, or each of its conditions, has a value of a key, such as "start"."""
+        each = [getattr(condition, name) for condition in self.conditions]
+        return getattr(self, name) is not None or all(value is not None for value in each)
 
     def of(self, config: Config) -> Iterator[tuple[Condition, Config]]:
         """Each condition, and the race in it."""

@@ -74,6 +74,8 @@ class Protocol:
         laps, gates = length["laps"], length["gates"]
         if laps is None and length["seconds"] is None:
             gates = config.evaluate.gates if gates is None else gates
+        if tracks is not None and runs is not None:
+            raise InputError(f"runs is {runs}, allowed: null with tracks")
         count = listed.runs if runs is None else runs
         count = config.evaluate.runs if count is None else count
         if listed.tracks and tracks is None:
@@ -83,7 +85,7 @@ class Protocol:
             trained = config.randomization.tracks or RandomTracks()
             tracks = trained.replace(seed=trained.seed + trained.count, count=tracks)
         return cls(
-            start=listed.start,
+            start=listed.start or "hover",
             deterministic=bool(listed.deterministic),
             runs=count if tracks is None else tracks.count,
             laps=config.evaluate.laps if laps is None else laps,

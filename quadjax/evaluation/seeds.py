@@ -18,8 +18,9 @@ from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import provenance
 from quadjax.evaluation.curves import check_lengths, learning_figure
-from quadjax.evaluation.evaluation import Evaluations, evaluate, joined
+from quadjax.evaluation.evaluation import evaluate
 from quadjax.evaluation.published import first_under, published_total
+from quadjax.evaluation.result import Evaluations, joined
 from quadjax.policy.file import Policy
 from quadjax.training.folder import check_same
 from quadjax.training.metrics import read_metrics

@@ -152,7 +152,8 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
         rates=Vec3.of(drawn.rates) * RATES,
     )
     low, high = map(jnp.asarray, params.start.thrust)
-    drone = model.start(state.constants, motion, drawn.actuators, (low, high))
+    constants = params.vehicle.constants if state.constants is None else state.constants
+    drone = model.start(constants, motion, drawn.actuators, (low, high))
     zero = jnp.zeros((), jnp.int32)
     fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
     return with_memory(choices, params, fresh)

@@ -13,8 +13,8 @@ from quadjax import compare
 from quadjax.config.loading import load_config
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.evaluation.conditions import read_conditions
-from quadjax.evaluation.evaluation import Evaluations
 from quadjax.evaluation.plants import drawn
+from quadjax.evaluation.result import Evaluations
 from quadjax.evaluation.rows import Row, concatenate
 from quadjax.fitting.signals import first_order
 from quadjax.plant.config import PlantConfig

@@ -8,7 +8,7 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.evaluation import seeds
 from quadjax.evaluation.conditions import read_conditions
-from quadjax.evaluation.evaluation import Evaluations
+from quadjax.evaluation.result import Evaluations
 from quadjax.evaluation.rows import Row
 from quadjax.evaluation.seeds import configs_of, train_once
 from tests.evaluation.test_laps import flights
