@@ -78,6 +78,9 @@ view notes.txt | notes.txt
 limit e2e track=nosuch | nosuch
 limit e2e --clearance -1 | --clearance
 limit e2e --laps 0 | --laps
+limit e2e --laps 3 --gates 3 | --gates
+limit e2e --speed 0 | --speed
+limit e2e --bound-speed 0 | --bound-speed
 limit e2e --centers --clearance 1 | --clearance --centers
 sweep nosuch | nosuch
 sweep key.yaml | key.yaml
