@@ -38,33 +38,6 @@ def targets(reward, next_value, terminated, truncated, *numbers):
     return jax.jit(td_lambda)(steps, *map(np.float32, numbers))
 
 
-def gae(reward, value, next_value, terminated, truncated, discount, lam):
-    """For every step, sum the discounted errors ahead until the episode ends."""
-    result = np.zeros_like(reward)
-    for n in range(reward.shape[1]):
-        for t in range(len(reward)):
-            weight = 1.0
-            for k in range(t, len(reward)):
-                ahead = 0.0 if terminated[k, n] else next_value[k, n]
-                result[t, n] += weight * (reward[k, n] + discount * ahead - value[k, n])
-                if terminated[k, n] or truncated[k, n]:
-                    break
-                weight *= discount * lam
-    return result
-
-
-@pytest.mark.parametrize(("discount", "lam"), [(0.99, 0.95), (0.9, 0.0), (1.0, 1.0)])
-def test_targets_minus_values_are_generalized_advantages(steps, discount, lam):
-    """Where a step leads to the observation of the next one, both have the same value."""
-    reward, value, next_value, terminated, truncated = steps
-    follows = ~(terminated | truncated)[:-1]
-    next_value = next_value.copy()
-    next_value[:-1] = np.where(follows, value[1:], next_value[:-1])
-    found = targets(reward, next_value, terminated, truncated, discount, lam)
-    wanted = gae(reward, value, next_value, terminated, truncated, discount, lam)
-    np.testing.assert_allclose(found - value, wanted, atol=5e-5)
-
-
 def returns(reward, next_value, terminated, truncated, discount, lam):
     """The mixture of n-step returns, each written out."""
     result = np.zeros_like(reward)

@@ -1,12 +1,10 @@
 """Both models against the double-precision reference, term by term and sign by sign."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from quadjax.vehicle import motor, rate
-from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.registry import MODELS
 from tests import reference as ref
@@ -99,48 +97,6 @@ def test_residual_networks(motor_rows, motor_slope, sign):
     np.testing.assert_allclose(body[:, :2], 0.0, atol=1e-12)
 
 
-def test_residual_input_order(motor_slope):
-    """One linear unit for each input in turn: propellers scaled, then velocity, then rates."""
-    rows = ref.random_states("motor", 1)
-    rows[:, ref.EULER] = 0.0
-    rpm = (rows[0, ref.RPM] - 3000) / 4000 - 1
-    inputs = np.concatenate([rpm, rows[0, ref.V], rows[0, ref.RATES]])
-    base = motor_slope(ref.MOTOR, rows, HOLD)
-    for index, value in enumerate(inputs):
-        one = np.zeros((10, 1))
-        one[index] = 1.0
-        nothing = (np.zeros((7, 1)), np.zeros(1))
-        bias = np.full(1, 100.0)  # keeps the unit on
-        residual = {
-            "thrust": [nothing if index > 6 else (one[:7], bias), (np.ones((1, 1)), -bias)],
-            "moment": [
-                (one, bias),
-                (1e-4 * np.array([[1.0, 2, 3]]), -1e-2 * np.array([1.0, 2, 3])),
-            ],
-            "rpm_min": 3000.0,
-            "rpm_max": 11000.0,
-            "thrust_sign": 1.0,
-        }
-        change = (motor_slope(ref.MOTOR, rows, HOLD, residual) - base)[0]
-        if index < 7:
-            np.testing.assert_allclose(change[5], value, rtol=1e-6)
-        inertia = np.array([ref.MOTOR[name] for name in ("i_xx", "i_yy", "i_zz")])
-        np.testing.assert_allclose(
-            change[9:12] * inertia, 1e-4 * value * np.arange(1, 4), rtol=1e-6
-        )
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_external_force_and_moment(motor_slope, axis):
-    rows = at_rest()
-    rows[0, 19 + axis], rows[0, 16 + axis] = 0.3, 0.01
-    change = (motor_slope(quiet(), rows, HOLD) - motor_slope(quiet(), at_rest(), HOLD))[0]
-    expected = np.zeros(22)
-    expected[3 + axis] = 0.3
-    expected[9 + axis] = 0.01 / [0.000906, 0.001242, 0.002054][axis]
-    np.testing.assert_allclose(change, expected, atol=1e-12)
-
-
 SIGNS = [
     ({"c3": 5.0}, HOLD, 3, -1),  # flying forward: drag backward
     ({"c4": 5.0}, HOLD, 4, -1),  # flying right: drag to the left
@@ -170,28 +126,6 @@ def test_hover_is_an_equilibrium(motor_slope):
     rows[:, 8] = 0.7
     slope = motor_slope(ref.MOTOR, rows, np.full((1, 4), hover))
     np.testing.assert_allclose(slope, 0.0, atol=1e-12)
-
-
-def test_gyroscopic_moment_conserves_energy_and_angular_momentum(motor_rows, motor_slope):
-    slope = motor_slope(quiet(), motor_rows[0] * np.r_[[1] * 16, [0] * 6], motor_rows[1])
-    inertia = np.array([ref.MOTOR[name] for name in ("i_xx", "i_yy", "i_zz")])
-    rates, spin_up = motor_rows[0][:, ref.RATES], slope[:, ref.RATES]
-    np.testing.assert_allclose(np.sum(rates * inertia * spin_up, axis=1), 0.0, atol=1e-12)
-    assert np.abs(spin_up).max() > 10
-
-
-def test_single_precision_is_close(motor_rows):
-    rows, commands = motor_rows
-    with jax.enable_x64(False):
-        params = VehicleParams(MotorConstants(**{k: jnp.float32(v) for k, v in ref.MOTOR.items()}))
-        state = state_of("motor", rows.astype(np.float32))
-        command = command_of("motor", commands.astype(np.float32))
-        found = jax.jit(jax.vmap(motor.MODEL.derivative, in_axes=(None, 0, 0)))(
-            params, state, command
-        )
-        assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(found))
-        found = rows_of(found)
-    agree(found, ref.motor_derivative(ref.MOTOR, rows, commands), 3e-6)
 
 
 @pytest.fixture(scope="module")
