@@ -116,12 +116,11 @@ def test_a_policy_without_its_checkpoints_is_a_run(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["e2e_ppo", "e2e"])
-def test_a_run_begins_with_the_policy_of_a_file(tmp_path, name):
-    first = training.train(config_of(name, "run.steps=128"), tmp_path / "first")
+def test_a_run_begins_with_the_policy_of_a_file(tmp_path):
+    first = training.train(config_of("e2e_ppo", "run.steps=128"), tmp_path / "first")
     word = f"run.initial_policy={first.folder / 'policy_last.npz'}"
-    held = [f"learner.critic_warmup={4 if name == 'e2e_ppo' else 8}"]  # every update
-    second = training.train(config_of(name, word, *held, "seed=1"), tmp_path / "second")
+    held = "learner.critic_warmup=4"  # every update
+    second = training.train(config_of("e2e_ppo", word, held, "seed=1"), tmp_path / "second")
     before, after = (arrays(run.folder / "policy_last.npz") for run in (first, second))
     for key in set(before) - {"log_std"}:
         same = np.allclose(before[key], after[key], rtol=1e-5, atol=0.0)  # a mean of equal ones
@@ -243,7 +242,7 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
 
 TRAINED = {"e2e", "e2e_ppo", "indi_ppo"}  # by other tests
 PRESETS = sorted({path.stem for path in CONFIGS.glob("*.yaml")} - TRAINED)
-PRESETS += ["e2e +residual"]
+PRESETS += ["e2e +residual", "e2e_race_robust +history", "e2e_paper +authors_code"]
 STANDIN = {"e2e_table1": ["vehicle.residual=standin_residual.npz"]}  # the published one is not here
 
 
@@ -255,17 +254,6 @@ def test_every_shipped_config_has_a_program(name):
     learner, params = build_learner(config), build_params(config)
     state = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
     jax.eval_shape(training.parallel.repeat(learner, 2), learner.hyper, params, state)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["e2e_race_robust +history", "e2e_paper +authors_code"])
-def test_a_shipped_config_trains(tmp_path, name):
-    """Of other kinds than those that tests/surface trains."""
-    config = config_of(name, "run.steps=256")
-    result = training.train(config, tmp_path / "run")
-    assert result.finished
-    assert result.policy.vehicle == config.vehicle.model
-    assert all(np.isfinite(kernel).all() for kernel, _ in result.policy.layers)
 
 
 @pytest.mark.slow

@@ -4,21 +4,19 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.cli import run
 from quadjax.config.race import make_race as race_api
 from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
-from quadjax.policy.file import Policy
 from quadjax.training.build import (
     build_environment,
+    build_learner,
     build_networks,
     input_scale,
     policy_of,
     privileged_constants,
     with_policy,
 )
-from tests.race.support import BLANK, make_config
-from tests.surface.short import OF_EACH, OF_LEARNER
+from tests.race.support import make_config
 
 SMALL = "network.hidden=[8]"
 OWN = ("randomization={thrust: 0.2, lag: 0.1}", "observation.critic_constants=true")
@@ -79,10 +77,10 @@ def test_it_is_refused_where_nothing_is_drawn():
     assert privileged_constants(make_config("randomization.all=0.2", scheduled, OWN[1]))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["ppo", "shac"])
-def test_both_learners_train_with_it(tmp_path, algorithm):
-    own = [*OWN, *OF_EACH, f"learner.algorithm={algorithm}", *OF_LEARNER[algorithm]]
-    assert run(["train", str(BLANK), *own, "--output", str(tmp_path), "--name", "x"]) == 0
-    policy = Policy.load(tmp_path / "x" / "policy.npz")
-    assert policy.value is None and policy.config["observation"]["critic_constants"]
+def test_both_learners_have_a_program_with_it(algorithm):
+    config = make_config(*OWN, SMALL, f"learner.algorithm={algorithm}")
+    learner, params = build_learner(config), race_of(config)[1]
+    state = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
+    after, _ = jax.eval_shape(learner.update, learner.hyper, params, state)
+    assert jax.tree.structure(after) == jax.tree.structure(state)
