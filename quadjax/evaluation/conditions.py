@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 Start = Literal["hover", "random", "around", "before_gate"]
 Factor = Annotated[float, Field(gt=0.0, le=10.0)]
 Moment = Annotated[float, Field(ge=-1.0, le=1.0)]
-Words = tuple[str, ...]
+Words = Annotated[tuple[str, ...], Field(max_length=100)]
 FOLDER, DELAYS = "conditions", "delays"
 WHOLE = ("track", "vehicle")  # sections that an override names by a file
 
