@@ -29,10 +29,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def flights_page(path: Path) -> str:
     """The 3D page of a file of flights."""
     from quadjax.core.files import read_json
-    from quadjax.view.data import check_record
     from quadjax.view.page import page
 
-    return page(check_record(path, read_json(path)))
+    return page(read_json(path))
 
 
 def config_page() -> str:
