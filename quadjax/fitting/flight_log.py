@@ -10,24 +10,24 @@ from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
-from quadjax.fitting.axis_checks import check_axes
 from quadjax.fitting.columns import ATTITUDES, REQUIRED, scale_of, wanted_columns
 from quadjax.fitting.config import LogsConfig
+from quadjax.fitting.consistency import check_consistency
 from quadjax.fitting.csv_table import LogTable, numbers_of
-from quadjax.fitting.log_checks import (
-    Source,
-    check_angles,
-    check_attitude,
-    check_constant,
-    check_motor_commands,
-    check_time,
-    check_units,
-)
 from quadjax.fitting.log_formats import LogFormat, log_format, resolved, table_of_columns
 from quadjax.fitting.log_frames import WORLD, to_standard_frames
-from quadjax.fitting.motor_checks import check_commands, check_motors, typical_speeds
+from quadjax.fitting.magnitudes import (
+    Recording,
+    check_attitude,
+    check_own_frames,
+    check_time,
+    check_units,
+    check_variation,
+)
+from quadjax.fitting.motor_evidence import typical_speeds
 from quadjax.flights.flight import AXES, MOTORS, RATES, Flight, Signal, motion_signals
 
+COMMANDS = ("rpm_command", "motor_command", "rate_command", "thrust_command")
 Quantities = dict[str, np.ndarray]
 STANDIN_LOGS = "standin_logs"
 STANDIN_HINT = (
@@ -226,25 +226,44 @@ def _log_of_table(
     table: LogTable, config: LogsConfig, own: LogFormat, path: Path | str
 ) -> FlightLog:
     config = resolved(config)
-    source = Source(str(path), table)
     wanted = _wanted(path, config, own, list(table.columns))
     quantities = _quantities(table, wanted, config, own, path)
-    check_time(source, wanted["time"][0], quantities["time"], config)
-    check_attitude(source, wanted, quantities)
+    recording = Recording(str(path), table, wanted, quantities)
+    check_time(recording, config)
+    check_attitude(recording)
     quantities = own.adjusted(path, quantities, table.settings)
-    check_constant(source, wanted, quantities)
-    if "motor_command" in quantities:
-        check_motor_commands(source, wanted, quantities)
-    if "euler" in wanted:
-        check_angles(source, wanted["euler"], quantities["euler"])
+    recording = replace(recording, quantities=quantities)
+    check_variation(recording)
+    check_own_frames(recording)
     quantities, config = to_standard_frames(quantities, config)
-    check_units(source, wanted, quantities)
+    check_units(replace(recording, quantities=quantities), config)
     if config.world_frame == "ENU":  # the names in the order of north, east, down
         ordered = {quantity: wanted[quantity] for quantity in WORLD if quantity in wanted}
         wanted |= {quantity: [names[i] for i in (1, 0, 2)] for quantity, names in ordered.items()}
-    log = _assemble(path, quantities, wanted, table.cut_row)
-    checks = (check_axes, check_motors, check_commands)
-    return replace(log, unchecked=tuple(line for check in checks for line in check(log, config)))
+    even, flying = _evenly(quantities)
+    even["acceleration"] = even["acceleration"] - even.pop("acceleration_bias", 0.0)
+    rate = (len(flying) - 1) / float(even["time"][-1] - even["time"][0])
+    unchecked = tuple(check_consistency(str(path), wanted, even, rate, flying, config))
+    if "rpm" not in even:
+        wanted = wanted | {"rpm": wanted["motor_command"]}
+        even["rpm"] = typical_speeds(even["motor_command"], rate)
+    return FlightLog(
+        name=Path(path).stem,
+        path=str(path),
+        time=even["time"],
+        rpm=even["rpm"],
+        speeds_measured="rpm" in quantities,
+        **{name: even.get(name) for name in COMMANDS},
+        body_velocity=even["body_velocity"],
+        rates=even["gyro"],
+        specific_force=even["acceleration"],
+        flying=flying,
+        position=even.get("position"),
+        attitude=Rotation.from_quat(even["quaternion"]) if "quaternion" in even else None,
+        columns=wanted,
+        cut_row=table.cut_row,
+        unchecked=unchecked,
+    )
 
 
 def _quantities(
@@ -295,47 +314,21 @@ def write_log(path: Path | str, columns: Quantities) -> None:
         np.savetxt(temporary, table, fmt="%.8g", delimiter=",", header=header, comments="")
 
 
-def _assemble(
-    path: Path | str, quantities: Quantities, columns: dict[str, list[str]], cut_row: int | None
-) -> FlightLog:
-    """Resample to even spacing and build the log."""
-    time = quantities["time"]
-    steps = np.diff(time)
+def _evenly(quantities: Quantities) -> tuple[Quantities, np.ndarray]:
+    """Quantities at evenly spaced times, and whether in flight; commands by their last value."""
+    time, steps = quantities["time"], np.diff(quantities["time"])
     count = len(time)
     if np.ptp(steps) > 0.01 * np.median(steps):
         count = int(round((time[-1] - time[0]) / np.median(steps))) + 1
     even = np.linspace(time[0], time[-1], count)
-
-    def resample(values: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(even, time, column) for column in values.T], axis=1)
-
-    bias = quantities.get("acceleration_bias", 0.0)
-    mode = quantities.get("mode")
-    position, attitude = quantities.get("position"), quantities.get("quaternion")
     nearest = np.clip(np.searchsorted(time, even - 0.5 * np.median(steps)), 0, len(time) - 1)
-    commands = {
-        name: quantities[name][nearest] if name in quantities else None
-        for name in ("rpm_command", "motor_command", "rate_command", "thrust_command")
-    }
-    if "rpm" in quantities:
-        rpm = resample(quantities["rpm"])
-    else:
-        columns = columns | {"rpm": columns["motor_command"]}
-        rate = (count - 1) / float(even[-1] - even[0])
-        rpm = typical_speeds(commands["motor_command"], rate)
-    return FlightLog(
-        name=Path(path).stem,
-        path=str(path),
-        time=even,
-        rpm=rpm,
-        speeds_measured="rpm" in quantities,
-        **commands,
-        body_velocity=resample(quantities["body_velocity"]),
-        rates=resample(quantities["gyro"]),
-        specific_force=resample(quantities["acceleration"] - bias),
-        flying=np.ones(len(even), bool) if mode is None else mode[nearest] > 0,
-        position=None if position is None else resample(position),
-        attitude=None if attitude is None else Rotation.from_quat(resample(attitude)),
-        columns=columns,
-        cut_row=cut_row,
-    )
+    result = {"time": even}
+    for name in quantities.keys() - {"time", "mode"}:
+        values = quantities[name]
+        if name in COMMANDS:
+            result[name] = values[nearest]
+        else:
+            values = np.unwrap(values, axis=0) if name == "euler" else values
+            result[name] = np.stack([np.interp(even, time, column) for column in values.T], axis=1)
+    mode = quantities.get("mode")
+    return result, np.ones(count, bool) if mode is None else mode[nearest] > 0

@@ -38,10 +38,8 @@ def to_standard_frames(given: Quantities, config: "LogsConfig") -> tuple[Quantit
         result |= {name: result[name] * FLIP for name in BODY if name in result}
     if rotation is None:
         return result, config
-    if config.body_frame == "FLU":
-        rotation = rotation * HALF_TURN
+    rotation = to_standard_attitude(rotation, config)
     if config.world_frame == "ENU":
-        rotation = ENU_TO_NED * rotation
         result |= {name: ENU_TO_NED.apply(result[name]) for name in WORLD if name in result}
     attitude = rotation.as_quat()  # scalar last
     # Of the two quaternions of an attitude, the one nearer to that of the previous sample.
@@ -51,6 +49,19 @@ def to_standard_frames(given: Quantities, config: "LogsConfig") -> tuple[Quantit
     if "body_velocity" not in result:
         result["body_velocity"] = rotation.inv().apply(result["world_velocity"])
     return result, config
+
+
+def to_standard_attitude(rotation: Rotation, config: "LogsConfig") -> Rotation:
+    """Rotations from body FRD to world NED, of those between the log's frames."""
+    if config.body_frame == "FLU":
+        rotation = rotation * HALF_TURN
+    return ENU_TO_NED * rotation if config.world_frame == "ENU" else rotation
+
+
+def axes_of_frames(config: "LogsConfig") -> tuple[np.ndarray, np.ndarray]:
+    """Matrices (3, 3) from the log's world frame to NED and from body FRD to the log's."""
+    world = ENU_TO_NED.as_matrix() if config.world_frame == "ENU" else np.eye(3)
+    return world, np.diag(FLIP) if config.body_frame == "FLU" else np.eye(3)
 
 
 def _rotation(given: Quantities) -> Rotation | None:

@@ -92,7 +92,7 @@ def test_own_columns_units_and_frames(tmp_path, columns):
     write_log(path, other)
     log = read_log(path, config)
     assert not log.unchecked
-    with pytest.raises(InputError, match="column 'north' is minus the velocity north from 'to_n"):
+    with pytest.raises(InputError, match="column 'north' negated"):
         log_of_columns(other | {"north": -other["north"]}, config, "flight")
     for name in ("rpm", "rates", "specific_force", "body_velocity", "position"):
         np.testing.assert_allclose(

@@ -137,12 +137,12 @@ BAD = {
     "time backwards": (lambda c: {"time": c["time"][::-1]}, "runs backwards"),
     "gyro in rad/s": (
         lambda c: {f"gyroADC[{i}]": c[f"gyroADC[{i}]"] / 57.3 for i in range(3)},
-        "column 'gyroADC",
+        "times too large",
     ),
     "a negated gyro": (lambda c: {"gyroADC[1]": -c["gyroADC[1]"]}, "negated"),
     "a turned accelerometer": (
         lambda c: {"accSmooth[0]": -c["accSmooth[0]"], "accSmooth[1]": -c["accSmooth[1]"]},
-        "column 'accSmooth[",
+        "columns 'accSmooth[0]', 'accSmooth[1]' negated",
     ),
     "accelerometer in g": (
         lambda c: {f"accSmooth[{i}]": c[f"accSmooth[{i}]"] / 2048 / 9.81 for i in range(3)},
@@ -276,7 +276,7 @@ def test_topics_of_a_ulog_file_are_checked(short, tmp_path):
     for name in ("vy", "z"):
         negated = position | {name: -position[name]}
         refuse(
-            topics | {"vehicle_local_position": (10, negated)}, rf"column 'v?{name[-1]}' is minus"
+            topics | {"vehicle_local_position": (10, negated)}, rf"column 'v?{name[-1]}' negated"
         )
     refuse({"vehicle_attitude": topics["vehicle_attitude"]}, "no topic vehicle_angular_velocity")
     without = {name: topic for name, topic in topics.items() if name != "sensor_combined"}
