@@ -19,6 +19,7 @@ SIGNED = np.concatenate(
 SCALES = 1.1 ** np.arange(-48.0, 49.0)
 ANGLES = np.arange(-175.0, 181.0, 5.0)  # deg
 NEGATED = "negated"
+UNRELATED = "of something else"
 ALONE = 6.0  # log-likelihood: the columns of a sensor are rarely late one by one
 Names = tuple[str, ...]
 
@@ -88,6 +89,12 @@ def motor_changes(
 def other_propellers(quantity: str) -> Change:
     """The other direction of all propellers."""
     return Change(quantity, MOTORS, "of propellers that turn the other way", spin=-1.0)
+
+
+@functools.cache
+def unrelated(quantity: str) -> tuple[Change, ...]:
+    """Each column of a vector contains something else than the vector."""
+    return tuple(Change(quantity, (i,), UNRELATED) for i in AXES)
 
 
 def _swapped(names: list[str], plainly: bool) -> str:

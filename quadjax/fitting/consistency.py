@@ -1,11 +1,11 @@
 """Consistency of a flight log's columns with one another, by one principle.
 
 Kinematics and Newton's law relate the quantities of a log. A log is refused when one simple change
-of the columns of one quantity (negated or permuted axes or motors, a scale, a delay, a rotation)
-explains it much better than the columns as logged. The measure is the gain of the log-likelihood
-over that of the best change within ``logs.max_scale_error``, ``logs.max_delay`` and
-``logs.max_angle``. A column is not checked if its negation costs little likelihood, or a motor if
-its exchange does.
+of the columns of one quantity (negated or permuted axes or motors, a scale, a delay, a rotation, a
+column of something else) explains it much better than the columns as logged. The measure is the
+gain of the log-likelihood over that of the best change within ``logs.max_scale_error``,
+``logs.max_delay`` and ``logs.max_angle``. A column is not checked if its negation or its absence
+costs little likelihood, or a motor if its exchange does.
 """
 
 import itertools
@@ -18,11 +18,13 @@ from quadjax.core.errors import InputError
 from quadjax.fitting import identities as laws
 from quadjax.fitting.changes import (
     NEGATED,
+    UNRELATED,
     Change,
     Limits,
     attitude_changes,
     motor_changes,
     other_propellers,
+    unrelated,
     vector_changes,
 )
 from quadjax.fitting.config import LogsConfig
@@ -58,6 +60,26 @@ class Evidence:
             elif quantity in identity.uses:
                 gains[~late] += self._linear(identity, quantity, matrices[~late])
                 gains[late] += self._each(identity, [c for c in changes if c.delay != 0.0])
+        return gains
+
+    def gains_unrelated(self, quantity: str) -> np.ndarray:
+        """Gains (3,) of log-likelihood if a column of a vector contains something else.
+
+        Then the residual is larger than each of its two independent parts, that of the column and
+        that of all other columns. Otherwise it is smaller than one of them, unless both are noise.
+        """
+        signals, gains = self.signals, np.zeros(3)
+        for identity in self.identities:
+            if quantity not in identity.uses or quantity in identity.nonlinear:
+                continue
+            values = self.quantities[quantity]
+            stack = np.stack([values] + [values * (np.arange(3) != i) for i in range(3)])
+            parts = identity.residual({**self.quantities, quantity: stack}, signals.rate)
+            whole, *others = signals.low_pass(parts)[:, signals.inner]
+            for i, rest in enumerate(others):
+                sizes = [x.var(axis=0) + identity.noise**2 for x in (whole, rest, whole - rest)]
+                ratio = sizes[0] / np.maximum(sizes[1], sizes[2])
+                gains[i] += 0.5 * signals.count(identity.band) * np.log(ratio).sum()
         return gains
 
     def corrected(self, changes: Sequence[Change]) -> np.ndarray:
@@ -216,6 +238,9 @@ def _search(
             gains.append(evidence.gains(group))
             if quantity == "gyro":
                 gains[-1] += motors.gains_of_gyro(group)
+            if form:
+                changes += unrelated(quantity)
+                gains.append(evidence.gains_unrelated(quantity))
     if form:
         changes += (group := attitude_changes(form, tuple(names["attitude"]), limits))
         gains.append(evidence.gains(group))
@@ -231,14 +256,15 @@ def _search(
 
 
 def _unchecked(changes: list[Change], gains: np.ndarray, names: Names) -> list[str]:
-    """Columns whose negation or exchange costs little likelihood."""
+    """Columns whose negation, exchange or absence costs little likelihood."""
     lines: list[str] = []
     moved: dict[str, set[int]] = {}
     for change, gain in zip(changes, gains, strict=True):
         if gain <= -EVIDENCE:
             continue
-        if change.text == NEGATED and len(change.columns) == 1:
-            lines.append(repr(names[change.quantity][change.columns[0]]))
+        if change.text in (NEGATED, UNRELATED) and len(change.columns) == 1:
+            column = repr(names[change.quantity][change.columns[0]])
+            lines += [column] * (column not in lines)
         if change.spin < 0.0:
             lines.append(f"the direction of the propellers against {names['gyro'][2]!r}")
         if change.order != (0, 1, 2, 3):
