@@ -76,7 +76,20 @@ def without_attitude(log):
     return plain
 
 
-def accepted(columns, form, title):
+def unrelated(columns, form):
+    """Every column of a vector of another time of the flight, backward."""
+    names = [
+        columns_of
+        for quantity, columns_of in FORMATS[form].columns.items()
+        if quantity in VECTORS and columns_of[0] in columns
+    ]
+    return {
+        f"{name} of something else": {name: np.roll(columns[name][::-1], len(columns[name]) // 3)}
+        for name in itertools.chain(*names)
+    }
+
+
+def accepted(columns, form, title, faults=faults):
     """Faults that are not refused, with what is reported as not checked; prints every answer."""
     config, missed = LogsConfig(format=form), {}
     print(f"\n{title}")
@@ -105,12 +118,30 @@ def test_every_fault_of_a_short_flight_is_refused(flown):
     assert len(faults(flown, "paparazzi")) > 60
 
 
+def columns_of_file(path):
+    header = path.open().readline().strip().split(",")
+    return dict(zip(header, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+
+
+each_flight = pytest.mark.parametrize(
+    "path", sorted(FLIGHTS.glob("*.csv")), ids=lambda path: path.stem
+)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("path", sorted(FLIGHTS.glob("*.csv")), ids=lambda path: path.stem)
+@each_flight
+def test_columns_of_something_else_are_refused(path):
+    """But for up to three of 15, with small forces, a steady height, or angles."""
+    missed = accepted(columns_of_file(path), "plain", "flight", unrelated)
+    assert len(missed) <= 3
+    assert {name.split()[0] for name in missed} <= {"ax", "vbx", "z", "phi", "theta"}
+
+
+@pytest.mark.slow
+@each_flight
 def test_every_fault_of_a_real_flight_is_refused(path):
     """But for those that a flight almost at a steady height and heading has no evidence of."""
-    header = path.open().readline().strip().split(",")
-    columns = dict(zip(header, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+    columns = columns_of_file(path)
     log_of_columns(columns, LogsConfig(), "flight")
     missed = accepted(columns, "plain", "flight")
     assert len(missed) <= 2
