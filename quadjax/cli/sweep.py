@@ -63,19 +63,21 @@ def sweep(
         check_kind(folder, "sweep", () if overwrite else FILES)
         print(write_report(studies.open_study(plan, folder, run=False), plan, folder))
         return 0
-    from quadjax.sweeps.run import make_workers, run_sweep
+    from quadjax.sweeps.run import count, run_sweep, train_and_fly
+    from quadjax.sweeps.workers import make_workers
 
     with claim(folder, "sweep", FILES, overwrite):
         if overwrite:
             studies.delete_study(plan, folder)
             remove_files(folder, FILES)
-        place, kind = make_workers(plan, folder), plan.file.executor.kind
-        print(f"{plan.file.name}: {plan.trials} trials, {place.count} workers ({kind})")
+        workers_of = make_workers(plan.file.executor, folder)
+        kind = plan.file.executor.kind
+        print(f"{plan.file.name}: {plan.trials} trials, {workers_of.count} workers ({kind})")
         started = time.monotonic()
-        ended = run_sweep(plan, folder, place)
+        ended = run_sweep(plan, folder, workers_of, train_and_fly)
         study = studies.open_study(plan, folder, run=False)
         print(write_report(study, plan, folder))
-    counts = studies.count(study)
+    counts = count(study)
     to_do = plan.trials - counts.done - counts.failed
     seconds = time.monotonic() - started
     print(f"{counts.done} trials done, {to_do} to do, {seconds:.0f} s of wall time")

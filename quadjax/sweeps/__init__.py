@@ -1,1 +1,13 @@
-"""Hyperparameter sweeps: a thin layer over Optuna and an executor (local processes or Ray)."""
+"""Hyperparameter sweeps with Optuna, in local processes or on Ray."""
+
+import warnings
+
+from quadjax.core.errors import InputError
+
+try:
+    import optuna
+except ImportError:
+    raise InputError("sweeps need Optuna: pip install 'quadjax[sweep]'") from None
+
+warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+optuna.logging.set_verbosity(optuna.logging.ERROR)

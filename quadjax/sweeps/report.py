@@ -5,12 +5,12 @@ import math
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import optuna
 
 from quadjax.config.loading import load_config
 from quadjax.core.files import write_csv, write_text
 from quadjax.core.markdown import table
 from quadjax.core.provenance import line_of, provenance
-from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.study import OVER, State, latest_trials
 from quadjax.sweeps.sweep import Sweep
 
@@ -56,7 +56,7 @@ def rows_of(results: list[optuna.trial.FrozenTrial], keys: list[str]) -> list[li
 def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
     """Write the report into the sweep's folder; returns what to print."""
     results = results_of(study)
-    rows = rows_of(results, sweep.keys)
+    rows = rows_of(results, [*sweep.space])
     write_csv(directory / "trials.csv", rows)
     found = sorted(importances(study).items(), key=lambda item: -item[1])
     explained = "Importances need three complete trials of different values."

@@ -1,81 +1,202 @@
-"""Running a sweep: workers on this machine or a cluster, until no trial waits."""
+"""Running a sweep: workers take trials from its study until none waits."""
 
 import contextlib
 import datetime
 import math
+import socket
+import statistics
 import sys
+import threading
 import time
+import traceback
 import uuid
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
+import optuna
+
+from quadjax.config.race import build_params
+from quadjax.core.errors import InputError
 from quadjax.core.interruptions import interruptions
-from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.study import (
-    Counts,
-    count,
-    fail_running,
-    is_journal,
+    OVER,
+    State,
+    latest_trials,
     open_study,
+    retry_running,
     storage_errors,
 )
-from quadjax.sweeps.sweep import Sweep
-from quadjax.sweeps.trial import run_trial
-from quadjax.sweeps.workers import Function, LocalWorkers
-
-if TYPE_CHECKING:
-    from quadjax.sweeps.cluster import RayWorkers
+from quadjax.sweeps.sweep import Params, Sweep
+from quadjax.sweeps.workers import LocalWorkers, RayWorkers
 
 POLL_SECONDS = 0.2
+REPORTS = 10  # to the pruner in each training
+FLIGHT_SEED = 1
+Enough = Callable[[float, float], bool]  # (fraction of the training, lap time): whether to stop
+# (sweep, parameters, index, seed, folder, enough): value, s, and the fraction of finished flights
+# of one seed of a trial; None if it was stopped.
+Measure = Callable[[Sweep, Params, int, int, Path, Enough], tuple[float, float] | None]
 
 
-def make_workers(
-    sweep: Sweep, directory: Path, function: Function = run_trial
-) -> "LocalWorkers | RayWorkers":
-    """The workers that the sweep file selects; ``function`` runs a trial there."""
-    seconds = sweep.file.budget.seconds
-    end = math.inf if seconds is None else time.time() + seconds
-    if sweep.file.executor.kind == "local":
-        return LocalWorkers(sweep, directory.resolve(), function, end)
-    from quadjax.sweeps.cluster import RayWorkers
-
-    return RayWorkers(sweep, directory.resolve(), function, end)
+class TrialFailed(Exception):
+    """A trial without a value; it is queued again unless its user attribute ``error`` is set."""
 
 
-def run_sweep(sweep: Sweep, directory: Path, workers: "LocalWorkers | RayWorkers") -> bool:
+def train_and_fly(
+    sweep: Sweep, params: Params, index: int, seed: int, folder: Path, enough: Enough
+) -> tuple[float, float] | None:
+    """Train one seed, from its checkpoint if there is one, and evaluate its policy: ``Measure``."""
+    from quadjax.evaluation.evaluation import evaluate
+    from quadjax.learners.loop import NonFiniteError
+    from quadjax.race.laps import race_length, time_limit
+    from quadjax.training.run import train
+
+    run, asked = (f"name=trial{index:04d}", "run.devices=1"), sweep.file.objective
+    config = sweep.config_of(params, *run, f"seed={seed}")
+    race = sweep.config_of(params, *run, *sweep.conditions) if asked.plant is None else config
+    track, laps = build_params(config).track, config.evaluate
+    limit = time_limit(track, race_length(track, laps.laps, laps.gates))
+
+    def row_enough(row: dict[str, float]) -> bool:
+        return enough(row["steps"] / config.run.steps, min(row["best_lap_total"], limit))
+
+    try:
+        if not train(config, folder, resume=True, enough=row_enough).finished:
+            return None
+    except NonFiniteError:
+        return limit, 0.0
+    result = evaluate(
+        folder / ("policy.npz" if asked.policy == "best" else "policy_last.npz"),
+        race,
+        plant=asked.plant,
+        plants=None if asked.plant is None else asked.plants,
+        runs=asked.runs,
+        deterministic=asked.deterministic,
+        seed=FLIGHT_SEED,
+    )
+    return result.laps.penalized, result.finished / asked.runs
+
+
+def objective(
+    trial: optuna.Trial, sweep: Sweep, directory: Path, measure: Measure, stop: threading.Event
+) -> float:
+    """The median of a trial's seeds, s; what was measured becomes its user attributes."""
+    index, last, pruned = trial.user_attrs.get("index"), 0, False
+    if index is None or latest_trials(trial.study)[index].number != trial.number:
+        raise TrialFailed
+    values: list[float] = []
+    finished, started, seeds = 0.0, time.monotonic(), range(sweep.file.objective.seeds)
+
+    def enough(fraction: float, lap_time: float) -> bool:
+        nonlocal last, pruned
+        step = int((len(values) + min(fraction, 1.0)) * REPORTS + 1e-9)
+        if step > last and not pruned:
+            trial.report(statistics.median([*values, lap_time]), step)
+            last, pruned = step, trial.should_prune()
+        return pruned or stop.is_set()
+
+    try:
+        params = {key: sweep.suggest(trial, key) for key in sweep.space}
+        for seed in seeds:
+            folder = directory.resolve() / "trials" / f"{index:04d}" / f"seed{seed}"
+            if (result := measure(sweep, params, index, seed, folder, enough)) is None:
+                break
+            values, finished = [*values, result[0]], finished + result[1]
+    except Exception as error:
+        traceback.print_exc()
+        kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+        trial.set_user_attr("error", f"{kind}{error}".partition("\n")[0])
+    trial.set_user_attr("values", values)
+    trial.set_user_attr("finished", finished / max(len(values), 1))
+    trial.set_user_attr("host", socket.gethostname())
+    trial.set_user_attr("seconds", round(time.monotonic() - started, 1))
+    if pruned:
+        raise optuna.TrialPruned
+    if len(values) < len(seeds):
+        raise TrialFailed
+    return statistics.median(values)
+
+
+def work(sweep: Sweep, directory: Path, measure: Measure, end: float, slot: int, name: str) -> None:
+    """Run the trials that wait, one after another.
+
+    Args:
+        sweep: the sweep.
+        directory: of its results.
+        measure: runs one seed of a trial.
+        end: wall time, s, after which no trial starts.
+        slot: number of the worker, which changes the seed of the sampler.
+        name: of the worker, for its trials' user attribute ``worker``.
+    """
+    study = open_study(sweep, directory, run=False, slot=slot)
+    with interruptions(b"") as stop:
+
+        def run_one(trial: optuna.Trial) -> float:
+            trial.set_user_attr("worker", name)
+            return objective(trial, sweep, directory, measure, stop)
+
+        while not stop.is_set() and time.time() < end and study.get_trials(False, (State.WAITING,)):
+            study.optimize(run_one, n_trials=1, catch=TrialFailed)
+
+
+def run_sweep(
+    sweep: Sweep, directory: Path, workers: LocalWorkers | RayWorkers, measure: Measure
+) -> bool:
     """Run the trials of the queue until it is empty or the time is over; False after Ctrl-C."""
     study, started = open_study(sweep, directory), time.monotonic()
-    first, seconds = count(study), sweep.file.budget.seconds
-    shown, stopped = first, False
+    seconds, journal = sweep.file.budget.seconds or math.inf, sweep.file.storage == "journal"
+    arguments = (sweep, directory.resolve(), measure, time.time() + seconds)
+    first = shown = count(study)
     running: dict[int, tuple[str, Any]] = {}
-    guard = contextlib.nullcontext() if is_journal(sweep) else storage_errors(sweep, directory)
+    guard = contextlib.nullcontext() if journal else storage_errors(sweep, directory)
     with interruptions() as stop, guard:
         while (now := count(study)).waiting + now.running or running:
-            elapsed = time.monotonic() - started
-            over = stop.is_set() or (seconds is not None and elapsed > seconds)
+            elapsed, asked = time.monotonic() - started, stop.is_set()
+            over = asked or elapsed > seconds
             if now != shown:
                 shown, text = now, progress(now, first.done, elapsed)
                 print(f"{sweep.file.name}: {text}", file=sys.stderr, flush=True)
             for slot in range(0 if over else min(workers.count, now.waiting + len(running))):
                 if slot not in running:
                     name = uuid.uuid4().hex
-                    running[slot] = name, workers.start(slot, name)
-            if stop.is_set() and not stopped:
-                stopped = True
-                for _, worker in running.values():
-                    workers.stop(worker)
+                    running[slot] = name, workers.start(slot, work, *arguments, slot, name)
             for slot, (name, worker) in list(running.items()):
+                if asked:
+                    workers.stop(worker)
                 if (reason := workers.reason(worker)) is not None:
                     del running[slot]
-                    fail_running(study, sweep, reason if not stopped else "", name)
+                    if reason and not asked:
+                        retry_running(study, sweep, reason, name)
             if over and not running:
                 break
-            if not running and is_journal(sweep):
-                fail_running(study, sweep, "worker died")
+            if not running and journal:
+                retry_running(study, sweep, "worker died", None)
             elif not running:  # other machines run the rest
                 optuna.storages.fail_stale_trials(study)
             time.sleep(POLL_SECONDS)
     return not stop.is_set()
+
+
+class Counts(NamedTuple):
+    """The number of trials in each state."""
+
+    done: int  # complete or pruned
+    running: int
+    waiting: int
+    failed: int  # not retried any more
+    best: float | None  # of the complete trials with a finished flight
+
+
+def count(study: optuna.Study) -> Counts:
+    """The number of trials by state."""
+    trials = latest_trials(study).values()
+    states = [trial.state for trial in trials]
+    failed = sum(t.state == State.FAIL and "error" in t.user_attrs for t in trials)
+    flown = [t for t in trials if t.state == State.COMPLETE and t.user_attrs["finished"]]
+    best = min((t.value for t in flown if t.value is not None), default=None)
+    done = sum(state in OVER for state in states)
+    return Counts(done, states.count(State.RUNNING), states.count(State.WAITING), failed, best)
 
 
 def progress(counts: Counts, before: int, seconds: float) -> str:

@@ -1,14 +1,12 @@
-"""Workers of a sweep: processes that take trials from its study until none waits."""
+"""Where the trials of a sweep run: processes of this machine, or tasks on a Ray cluster."""
 
+import contextlib
 import math
 import multiprocessing
 import os
 import signal
-import statistics
 import subprocess
 import threading
-import time
-import traceback
 from collections.abc import Callable
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -17,121 +15,44 @@ from typing import Any
 import psutil
 
 from quadjax.core.errors import InputError
-from quadjax.core.interruptions import interruptions
-from quadjax.sweeps.extra import optuna
-from quadjax.sweeps.study import count, is_duplicate, open_study
-from quadjax.sweeps.sweep import Sweep
-from quadjax.sweeps.trial import Job, Outcome, Tell, job_of
+from quadjax.sweeps.sweep import Executor
 
 SPAWN = multiprocessing.get_context("spawn")  # JAX does not support fork
 MEMORY = 0.9  # fraction of a GPU's memory that its trials share
-Function = Callable[[Job, Tell], Outcome]
-
-
-class TrialFailed(Exception):
-    """A trial without a value; it is queued again unless its user attribute ``error`` is set."""
-
-
-def work(
-    sweep: Sweep, directory: Path, function: Function, end: float, slot: int, name: str
-) -> None:
-    """Run the trials that wait, one after another.
-
-    Args:
-        sweep: the sweep.
-        directory: of its results.
-        function: runs a trial.
-        end: wall time, s, after which no trial starts.
-        slot: number of the worker, which changes the seed of the sampler.
-        name: of the worker, for its trials' user attribute ``worker``.
-    """
-    study = open_study(sweep, directory, run=False, slot=slot)
-
-    def objective(trial: optuna.Trial) -> float:
-        trial.set_user_attr("worker", name)
-        try:
-            return run_one(sweep, directory, function, stop, trial)
-        except (TrialFailed, optuna.TrialPruned):
-            raise
-        except Exception:  # the trial stays in the state of a worker that died
-            traceback.print_exc()
-            os._exit(1)
-
-    with interruptions(b"") as stop:
-        while not stop.is_set() and time.time() < end and count(study).waiting:
-            study.optimize(objective, n_trials=1, catch=(TrialFailed,))
-
-
-def run_one(
-    sweep: Sweep,
-    directory: Path,
-    function: Function,
-    stop: threading.Event,
-    trial: optuna.Trial,
-) -> float:
-    """The value of a trial; its measurements become user attributes."""
-    if "index" not in trial.user_attrs or is_duplicate(trial):
-        raise TrialFailed
-    started, pruned, last = time.monotonic(), False, -1
-
-    def tell(step: int, value: float) -> bool:
-        nonlocal pruned, last
-        if step > last and not pruned:
-            trial.report(value, step)
-            pruned, last = trial.should_prune(), step
-        return pruned or stop.is_set()
-
-    try:
-        params = {d.key: d.suggest(trial) for d in sweep.dimensions}
-        outcome = function(job_of(sweep, params, trial.user_attrs["index"], directory), tell)
-    except InputError as error:
-        outcome = Outcome((), 0.0, False, str(error))
-    attributes = {
-        "values": list(outcome.values),
-        "finished": outcome.finished,
-        "host": outcome.host,
-        "seconds": round(time.monotonic() - started, 1),
-    }
-    for key, value in (attributes | ({"error": outcome.error} if outcome.error else {})).items():
-        trial.set_user_attr(key, value)
-    if pruned:
-        raise optuna.TrialPruned
-    if not outcome.complete:
-        raise TrialFailed
-    return statistics.median(outcome.values)
 
 
 class LocalWorkers:
     """Processes of this machine, each pinned to one core, or with GPUs of its own."""
 
-    def __init__(self, sweep: Sweep, directory: Path, function: Function, end: float) -> None:
+    def __init__(self, executor: Executor, logs: Path) -> None:
         """Prepare; ``InputError`` for more workers than there are cores, or GPUs for them."""
-        asked, process = sweep.file.executor, psutil.Process()
-        self._cores: list[int] = process.cpu_affinity() if hasattr(process, "cpu_affinity") else []
+        process, gpus, self._share = psutil.Process(), visible_gpus(), executor.gpus
+        self._cores = process.cpu_affinity() if hasattr(process, "cpu_affinity") else []
         room, what = len(self._cores) or psutil.cpu_count() or 1, "the cores of this process"
         self._gpus: list[str] = []
-        if asked.gpus:
-            gpus, self._cores = visible_gpus(), []
-            room, what = int(len(gpus) / asked.gpus + 1e-9), f"what {len(gpus)} GPUs have room for"
-            firsts = [int(slot * asked.gpus + 1e-9) for slot in range(room)]
-            each = math.ceil(asked.gpus)
-            self._gpus = [",".join(gpus[first : first + each]) for first in firsts]
-        self.count = asked.workers or room
+        if executor.gpus:
+            room, what = int(len(gpus) / executor.gpus + 1e-9), f"room on {len(gpus)} GPUs"
+            firsts = [int(slot * executor.gpus + 1e-9) for slot in range(room)]
+            self._gpus = [",".join(gpus[i : i + math.ceil(executor.gpus)]) for i in firsts]
+            self._cores = []
+        self.count, self._logs = executor.workers or room, logs
         if self.count > room or not room:
-            key, value = ("workers", asked.workers) if room else ("gpus", asked.gpus)
+            key = "workers" if room else "gpus"
+            value = getattr(executor, key)
             raise InputError(f"executor.{key} is {value:g}, allowed: up to {room}, {what}")
-        self._share = asked.gpus
-        self._logs = directory / "logs"
-        self._arguments = (sweep, directory, function, end)
 
-    def start(self, slot: int, name: str) -> BaseProcess:
-        """Start a worker."""
+    def start(self, slot: int, function: Callable[..., None], *arguments: Any) -> BaseProcess:
+        """Call a function in a worker."""
         self._logs.mkdir(parents=True, exist_ok=True)
+        log = self._logs / f"worker{slot}.log"
         core = self._cores[slot] if self._cores else None
         gpu = self._gpus[slot] if self._gpus else None
-        log = self._logs / f"worker{slot}.log"
-        arguments = (log, core, gpu, self._share, *self._arguments, slot, name)
-        process = SPAWN.Process(target=_serve, args=arguments, name=str(log), daemon=True)
+        process = SPAWN.Process(
+            target=_serve,
+            args=(log, core, gpu, self._share, function, *arguments),
+            name=str(log),
+            daemon=True,
+        )
         process.start()
         return process
 
@@ -151,14 +72,20 @@ def visible_gpus() -> list[str]:
     """The GPUs of this machine, as ``CUDA_VISIBLE_DEVICES`` names them."""
     if (visible := os.environ.get("CUDA_VISIBLE_DEVICES")) is not None:
         return [name for name in visible.split(",") if name]
-    try:
+    with contextlib.suppress(OSError, subprocess.CalledProcessError):
         listed = subprocess.run(["nvidia-smi", "-L"], capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        return []
-    return [str(number) for number, _ in enumerate(listed.stdout.splitlines())]
+        return [str(number) for number, _ in enumerate(listed.stdout.splitlines())]
+    return []
 
 
-def _serve(log: Path, core: int | None, gpu: str | None, share: float, *arguments: Any) -> None:
+def _serve(
+    log: Path,
+    core: int | None,
+    gpu: str | None,
+    share: float,
+    function: Callable[..., None],
+    *arguments: Any,
+) -> None:
     """The main function of a process: pin it, send its output to a log, and work."""
     os.setsid()  # Ctrl-C is handled by the parent
     if core is not None:
@@ -168,7 +95,7 @@ def _serve(log: Path, core: int | None, gpu: str | None, share: float, *argument
     os.dup2(stream, 2)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     use_device(gpu, share)
-    work(*arguments)
+    function(*arguments)
 
 
 def use_device(gpu: str | None, share: float) -> None:
@@ -188,3 +115,67 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
     os.kill(os.getpid(), signal.SIGTERM)
+
+
+class RayWorkers:
+    """Tasks on a Ray cluster. The output folder must be on a file system that all nodes share."""
+
+    def __init__(self, executor: Executor) -> None:
+        """Connect to the cluster; ``InputError`` where none answers or has room for a trial."""
+        try:
+            import ray
+        except ImportError:
+            raise InputError("executor.kind is ray: pip install 'quadjax[ray]'") from None
+
+        self._ray, need = ray, {"CPU": executor.cpus, "GPU": executor.gpus}
+        if not ray.is_initialized():
+            try:
+                ray.init(address=executor.address, log_to_driver=False)
+            except (ConnectionError, ValueError) as error:
+                hint = "no Ray cluster answers; start one with ray start --head"
+                raise InputError(f"executor.address is {executor.address}: {hint}") from error
+        room = sum(
+            min(int(node["Resources"].get(kind, 0.0) / n + 1e-9) for kind, n in need.items() if n)
+            for node in ray.nodes()
+            if node["Alive"]
+        )
+        if not room:
+            text = f"{executor.cpus:g} CPUs and {executor.gpus:g} GPUs"
+            raise InputError(f"executor: no node has {text}")
+        self.count, self._share = executor.workers or room, executor.gpus
+        options = {"num_cpus": executor.cpus, "num_gpus": executor.gpus, "max_retries": 0}
+        self._task = ray.remote(_task).options(**options)  # the study retries
+
+    def start(self, slot: int, function: Callable[..., None], *arguments: Any) -> Any:
+        """Call a function as soon as a node has room for it."""
+        return self._task.remote(self._share, function, *arguments)
+
+    def reason(self, task: Any) -> str | None:
+        """As of ``LocalWorkers``."""
+        if not self._ray.wait([task], timeout=0)[0]:
+            return None
+        try:
+            self._ray.get(task)
+        except self._ray.exceptions.RayError as error:
+            lines = str(error).strip().splitlines() or [""]
+            return f"{type(error).__name__}: {lines[-1]}"
+        return ""
+
+    def stop(self, task: Any) -> None:
+        """Ask a worker to save its trial and to end."""
+        self._ray.cancel(task)
+
+
+def _task(share: float, function: Callable[..., None], *arguments: Any) -> None:
+    import ray
+
+    visible = ray.get_gpu_ids()
+    use_device(",".join(map(str, visible)) if visible else None, share)
+    function(*arguments)
+
+
+def make_workers(executor: Executor, directory: Path) -> LocalWorkers | RayWorkers:
+    """The workers that a sweep file selects, whose logs are in ``directory/logs``."""
+    if executor.kind == "ray":
+        return RayWorkers(executor)
+    return LocalWorkers(executor, directory / "logs")

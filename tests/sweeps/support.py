@@ -5,8 +5,10 @@ from pathlib import Path
 import optuna
 
 from quadjax.core.yaml_files import to_yaml
+from quadjax.sweeps.run import run_sweep
 from quadjax.sweeps.study import State, latest_trials, open_study
 from quadjax.sweeps.sweep import load_sweep
+from quadjax.sweeps.workers import make_workers
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = {
@@ -46,13 +48,18 @@ def open_small(folder: Path, *overrides: str, **entries: object):
 def finish(study: optuna.Study, sweep, value=None, flown: float = 1.0) -> optuna.Trial:
     """Take the next trial of the queue and give it a value."""
     trial = study.ask()
-    params = {d.key: d.suggest(trial) for d in sweep.dimensions}
+    params = {key: sweep.suggest(trial, key) for key in sweep.space}
     value = value_of(params[CLIP], params.get(RATE, 0.0)) if value is None else value
     own = {"values": [value], "finished": flown, "seconds": 1.5, "host": "here"}
     for name, item in own.items():
         trial.set_user_attr(name, item)
     study.tell(trial, value)
     return trial
+
+
+def run_small(sweep, directory: Path, measure) -> bool:
+    """Run the small sweep with a stand-in for its trainings."""
+    return run_sweep(sweep, directory, make_workers(sweep.file.executor, directory), measure)
 
 
 def complete(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:

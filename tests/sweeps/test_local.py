@@ -10,11 +10,21 @@ import psutil
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.sweeps.run import make_workers, progress, run_sweep
-from quadjax.sweeps.study import Counts, State, count, open_study
+from quadjax.sweeps.run import Counts, count, progress
+from quadjax.sweeps.study import State, open_study
 from quadjax.sweeps.sweep import load_sweep
+from quadjax.sweeps.workers import make_workers
 from tests.sweeps import stand_in
-from tests.sweeps.support import CLIP, RATE, ROOT, complete, open_small, sweep_file, value_of
+from tests.sweeps.support import (
+    CLIP,
+    RATE,
+    ROOT,
+    complete,
+    open_small,
+    run_small,
+    sweep_file,
+    value_of,
+)
 
 LIMIT = 600.0  # s, for whatever a test waits for
 
@@ -120,7 +130,7 @@ def test_workers_are_pinned_and_end_with_the_sweep(tmp_path):
 def test_trials_are_pruned_and_a_budget_of_time_ends_the_sweep(tmp_path):
     search = {"method": "random", "pruner": "halving"}
     sweep, directory, study = open_small(tmp_path, search=search, budget={"trials": 6})
-    assert run_sweep(sweep, directory, make_workers(sweep, directory, stand_in.run_trial))
+    assert run_small(sweep, directory, stand_in.measure)
     pruned = [t for t in study.get_trials() if t.state == State.PRUNED]
     assert pruned and count(study).done == 6 and all(t.intermediate_values for t in pruned)
     best = min(complete(study), key=lambda t: t.value)
@@ -129,32 +139,32 @@ def test_trials_are_pruned_and_a_budget_of_time_ends_the_sweep(tmp_path):
     sweep, directory, study = open_small(
         tmp_path, "budget.seconds=1e-3", name="other", executor={"workers": 1}
     )
-    assert run_sweep(sweep, directory, make_workers(sweep, directory, stand_in.run_trial))
+    assert run_small(sweep, directory, stand_in.measure)
     assert count(study).done <= 1 and count(study).waiting >= 3
 
 
 def test_a_trial_that_cannot_run_is_given_up_with_its_reason(tmp_path):
     sweep, directory, study = open_small(tmp_path, "budget.trials=1")
-    run_sweep(sweep, directory, make_workers(sweep, directory, _impossible))
+    run_small(sweep, directory, _impossible)
     assert count(study).failed == 1
     assert study.trials[-1].user_attrs["error"] == "track: the gates overlap"
 
 
-def _impossible(job, tell):
-    return stand_in.Outcome((), 0.0, False, "track: the gates overlap")
+def _impossible(*_):
+    raise InputError("track: the gates overlap")
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ("executor.workers=4000", r"executor.workers is 4000, allowed: up to \d+, the cores"),
-        ("executor.gpus=3", "executor.gpus is 3.*allowed: up to 0, what 2 GPUs have room for"),
+        ("executor.gpus=3", "executor.gpus is 3.*allowed: up to 0, room on 2 GPUs"),
     ],
 )
 def test_more_workers_than_cores_or_gpus_are_refused(tmp_path, monkeypatch, change, message):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
     with pytest.raises(InputError, match=message):
-        make_workers(load_sweep(sweep_file(tmp_path), [change]), tmp_path)
+        make_workers(load_sweep(sweep_file(tmp_path), [change]).file.executor, tmp_path)
 
 
 @pytest.mark.slow
@@ -162,17 +172,18 @@ def test_each_worker_sees_its_gpu(tmp_path, monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
     changes = ["executor.gpus=1", "executor.workers=2", "budget.trials=2"]
     sweep, directory, _ = open_small(tmp_path, *changes)
-    assert run_sweep(sweep, directory, make_workers(sweep, directory, _wait_for_both))
+    assert run_small(sweep, directory, _wait_for_both)
     assert sorted(path.read_text() for path in directory.glob("gpu*")) == ["3", "5"]
 
 
-def _wait_for_both(job, tell):
-    folder = job.folder.parents[1]
+def _wait_for_both(sweep, params, index, seed, folder, enough):
+    folder = folder.parents[2]
+    folder.mkdir(exist_ok=True)
     (folder / f"gpu{os.getpid()}").write_text(os.environ["CUDA_VISIBLE_DEVICES"])
     deadline = time.monotonic() + 60.0
     while len(list(folder.glob("gpu*"))) < 2 and time.monotonic() < deadline:
         time.sleep(0.05)
-    return stand_in.Outcome((1.0,), 1.0, True)
+    return 1.0, 1.0
 
 
 def test_progress_tells_the_time_left_and_whether_a_flight_finished():

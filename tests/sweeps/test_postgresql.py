@@ -11,11 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from quadjax.sweeps.run import make_workers, run_sweep
-from quadjax.sweeps.study import State, count, delete_study, open_study
+from quadjax.sweeps import study as studies
+from quadjax.sweeps.run import count
+from quadjax.sweeps.study import State, delete_study, open_study
 from quadjax.sweeps.sweep import load_sweep
 from tests.sweeps import stand_in
-from tests.sweeps.support import complete, open_small, sweep_file
+from tests.sweeps.support import complete, open_small, run_small, sweep_file
 
 pytestmark = pytest.mark.slow
 
@@ -68,13 +69,11 @@ def url():
 
 def test_two_machines_never_run_the_same_trial(tmp_path, url):
     """Two sweeps with folders of their own on one database."""
-    entries = {"storage": url, "budget": {"trials": 8}, "heartbeat_seconds": 1}
+    entries = {"storage": url, "budget": {"trials": 8}}
     found = [load_sweep(sweep_file(tmp_path / str(i), **entries)) for i in range(2)]
 
     def work(number: int) -> None:
-        directory = tmp_path / str(number)
-        workers = make_workers(found[number], directory, stand_in.run_trial)
-        assert run_sweep(found[number], directory, workers)
+        assert run_small(found[number], tmp_path / str(number), stand_in.measure)
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(work, range(2)))
@@ -84,16 +83,16 @@ def test_two_machines_never_run_the_same_trial(tmp_path, url):
     assert sorted(finished) == [f"{index:04d}" for index in range(8)]
 
 
-def test_a_trial_of_a_silent_machine_is_run_by_another(tmp_path, url):
-    entries = {"storage": url, "name": "second", "budget": {"trials": 1}, "heartbeat_seconds": 1}
+def test_a_trial_of_a_silent_machine_is_run_by_another(tmp_path, url, monkeypatch):
+    monkeypatch.setattr(studies, "HEARTBEAT", 1)
+    entries = {"storage": url, "name": "second", "budget": {"trials": 1}}
     sweep, directory, study = open_small(tmp_path, **entries)
     taken = study.ask()
-    params = {d.key: d.suggest(taken) for d in sweep.dimensions}
+    params = {key: sweep.suggest(taken, key) for key in sweep.space}
     study._storage.record_heartbeat(taken._trial_id)  # as the machine that dies now did
-    workers = make_workers(sweep, directory, stand_in.run_trial)
     again = open_study(sweep, directory)
     assert count(again).running == 1
-    assert run_sweep(sweep, directory, workers)
+    assert run_small(sweep, directory, stand_in.measure)
     assert [t.state for t in again.get_trials()] == [State.FAIL, State.COMPLETE]
     assert complete(again)[0].params == params
     delete_study(sweep, directory)

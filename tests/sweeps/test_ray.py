@@ -6,9 +6,10 @@ import time
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.sweeps.run import make_workers, run_sweep
-from quadjax.sweeps.study import State, count
+from quadjax.sweeps.run import count, run_sweep
+from quadjax.sweeps.study import State
 from quadjax.sweeps.sweep import load_sweep
+from quadjax.sweeps.workers import make_workers
 from tests.sweeps import stand_in
 from tests.sweeps.support import ROOT, complete, open_small, sweep_file
 
@@ -49,11 +50,11 @@ def test_a_node_is_killed_and_its_trial_resumes_on_the_other(tmp_path, cluster):
             time.sleep(0.1)
         nodes.remove_node(second, allow_graceful=False)
 
-    workers = make_workers(sweep, directory, stand_in.run_trial)
+    workers = make_workers(sweep.file.executor, directory)
     assert workers.count == 2
     killer = threading.Thread(target=kill)
     killer.start()
-    assert run_sweep(sweep, directory, workers)
+    assert run_sweep(sweep, directory, workers, stand_in.measure)
     killer.join()
     states = [trial.state for trial in study.get_trials()]
     assert states.count(State.FAIL) >= 1 and count(study).done == 3 and count(study).failed == 0
@@ -64,4 +65,4 @@ def test_a_node_is_killed_and_its_trial_resumes_on_the_other(tmp_path, cluster):
 
     too_large = load_sweep(sweep_file(tmp_path), ["executor.kind=ray", "executor.gpus=2"])
     with pytest.raises(InputError, match="no node has 1 CPUs and 2 GPUs"):
-        make_workers(too_large, directory)
+        make_workers(too_large.file.executor, directory)

@@ -5,7 +5,8 @@ import traceback
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.sweeps.study import JOURNAL, OVER, Retry, State, count, open_study
+from quadjax.sweeps.run import count
+from quadjax.sweeps.study import JOURNAL, OVER, Retry, State, open_study
 from quadjax.sweeps.sweep import load_sweep
 from tests.commands import run
 from tests.sweeps.support import CLIP, RATE, complete, finish, open_small, sweep_file
@@ -20,7 +21,7 @@ def test_random_parameters_do_not_depend_on_the_order_of_the_trials(tmp_path):
         sweep, _, study = open_small(tmp_path / name)
         trials = [study.ask() for _ in range(4)]
         for index in order:
-            params = {d.key: d.suggest(trials[index]) for d in sweep.dimensions}
+            params = {key: sweep.suggest(trials[index], key) for key in sweep.space}
             study.tell(trials[index], sum(params.values()))
         return [trial.params for trial in complete(study)]
 
@@ -68,7 +69,7 @@ def test_the_base_config_may_be_the_first_trial(tmp_path):
 def test_a_trial_of_a_killed_command_is_queued_again_with_its_parameters(tmp_path):
     sweep, directory, study = open_small(tmp_path, "budget.trials=2")
     taken = study.ask()
-    params = {d.key: d.suggest(taken) for d in sweep.dimensions}
+    params = {key: sweep.suggest(taken, key) for key in sweep.space}
     again = open_study(sweep, directory)
     assert count(again).waiting == 2 and states(again)[0] == State.FAIL
     finish(again, sweep)

@@ -1,6 +1,7 @@
 """A real trial: training, resuming, evaluation, and the command with its report."""
 
 import csv
+from threading import Event
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,31 +11,35 @@ from PIL import Image
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.race.laps import Laps
-from quadjax.sweeps import trial
 from quadjax.sweeps.report import importances, results_of, rows_of, write_report
+from quadjax.sweeps.run import TrialFailed, objective, train_and_fly
 from quadjax.sweeps.study import State
-from quadjax.sweeps.trial import job_of
 from tests.commands import run
 from tests.sweeps.support import CLIP, RATE, finish, open_small, sweep_file
 
 
 @pytest.mark.slow
 def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
-    search = {"method": "random", "pruner": "median", "reports": 4}
-    sweep, directory, _ = open_small(tmp_path, search=search, objective={"seeds": 2, "runs": 2})
-    job = job_of(sweep, {CLIP: 0.2, RATE: 1e-3}, 0, directory)
-    reported = []
+    search = {"method": "random", "pruner": "median"}
+    sweep, directory, study = open_small(tmp_path, search=search, objective={"seeds": 2, "runs": 2})
+    stops = []
 
-    def tell(step, value):
-        reported.append((step, value))
-        return len(reported) == 2
+    def measure(sweep, params, index, seed, folder, enough):
+        def stop_once(fraction, value):
+            stops.append(fraction)
+            return enough(fraction, value) or len(stops) == 2
 
-    stopped = trial.run_trial(job, tell)
-    assert not stopped.complete and not stopped.values and len(reported) == 2
-    outcome = trial.run_trial(job, tell)
-    assert outcome.complete and len(outcome.values) == 2 and outcome.finished == 0.0
-    assert [step for step, _ in reported] == [1, 2, 3, 4, 5, 6, 7, 8]
-    assert outcome.values == (8.0, 8.0)  # the time limit of the one lap
+        return train_and_fly(sweep, params, index, seed, folder, stop_once)
+
+    trial = study.ask()
+    with pytest.raises(TrialFailed):
+        objective(trial, sweep, directory, measure, Event())
+    assert trial.user_attrs["values"] == [] and stops == [0.25, 0.5]
+    value = objective(trial, sweep, directory, measure, Event())
+    assert value == 8.0  # the time limit of the one lap
+    assert trial.user_attrs["values"] == [8.0, 8.0] and trial.user_attrs["finished"] == 0.0
+    assert stops[2:] == [0.75, 1.0, 0.25, 0.5, 0.75, 1.0]
+    assert [*study.trials[0].intermediate_values] == [2, 5, 7, 10, 12, 15, 17, 20]
 
 
 @pytest.mark.slow
@@ -49,12 +54,12 @@ def test_a_trial_is_judged_on_drawn_plants(tmp_path, monkeypatch):
         return SimpleNamespace(laps=laps, finished=laps.finished)
 
     monkeypatch.setattr("quadjax.evaluation.evaluation.evaluate", fly)
-    objective = {"seeds": 1, "runs": 6, "plant": "standin", "plants": 2}
-    sweep, directory, _ = open_small(tmp_path, objective=objective)
-    job = job_of(sweep, {CLIP: 0.2, RATE: 1e-3}, 0, directory)
-    outcome = trial.run_trial(job, lambda step, value: False)
+    plant = {"seeds": 1, "runs": 6, "plant": "standin", "plants": 2}
+    sweep, directory, _ = open_small(tmp_path, objective=plant)
+    params = {CLIP: 0.2, RATE: 1e-3}
+    value = train_and_fly(sweep, params, 0, 0, directory / "seed0", lambda fraction, value: False)
     assert flown == [(6, 2, "standin", "motor")]
-    assert outcome.values == (6.5,) and outcome.finished == 0.5  # 5 s, and the limit of 8 s
+    assert value == (6.5, 0.5)  # 5 s, and the limit of 8 s
 
 
 def test_a_plant_that_is_not_there_is_found_before_any_training(tmp_path):
@@ -112,7 +117,7 @@ def test_the_report_has_a_table_importances_figures_and_the_best_config(found):
     values = [t.value for t in results[:-1]]
     assert len(results) == 30 and values == sorted(values) and values[-1] == 48.0
     assert results[-1].user_attrs["error"] == "not enough memory"
-    rows = rows_of(results, sweep.keys)
+    rows = rows_of(results, [*sweep.space])
     assert all(len(row) == len(rows[0]) for row in rows) and "[16, 16]" in str(rows)
     text = write_report(study, sweep, directory)
     assert "best.yaml" in text and "| importance |" in text and f"{values[0]:.3f}" in text
@@ -133,7 +138,7 @@ def test_the_key_that_matters_is_the_most_important(tmp_path):
     sweep, _, study = open_small(tmp_path / "clip", budget={"trials": 30})
     for _ in range(30):
         taken = study.ask()
-        params = {d.key: d.suggest(taken) for d in sweep.dimensions}
+        params = {key: sweep.suggest(taken, key) for key in sweep.space}
         study.tell(taken, abs(params[CLIP] - 0.17))
     shares = importances(study)
     assert sum(shares.values()) == pytest.approx(1.0) and shares[CLIP] > 0.6
