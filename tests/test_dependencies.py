@@ -4,7 +4,7 @@ import ast
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1] / "quadjax"
-# Each package, and what it may import. The command line may import everything.
+# Each package, or module, and what it may import. The command line may import everything.
 CONFIG = {"core", "vehicle", "race", "learners"}
 ALLOWED = {
     "core": set(),
@@ -22,9 +22,11 @@ ALLOWED = {
     "limits": {"core", "vehicle", "race", "config", "policy", "evaluation", "flights"},
     "integrations": CONFIG | {"config", "policy", "training"},
     "plant": CONFIG - {"learners"} | {"config", "policy", "fitting", "flights"},
+    "log_states": {"core", "vehicle", "flights", "fitting"},
     "replay": CONFIG - {"learners"}
-    | {"config", "policy", "flights", "evaluation", "fitting", "export"},
-    "improve": CONFIG | {"config", "policy", "training", "flights", "fitting", "plant", "replay"},
+    | {"config", "policy", "flights", "evaluation", "fitting", "export", "log_states"},
+    "improve": CONFIG
+    | {"config", "policy", "training", "flights", "fitting", "plant", "log_states"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant"},
     "sil": CONFIG - {"learners"}
     | {"config", "policy", "training", "evaluation", "plant", "export", "flights"},
@@ -50,7 +52,7 @@ def _imported(path):
 def test_packages_depend_on_each_other_in_one_direction():
     found = {package: set() for package in ALLOWED}
     for package in ALLOWED:
-        for path in sorted((ROOT / package).rglob("*.py")):
+        for path in sorted((ROOT / package).rglob("*.py")) or [ROOT / f"{package}.py"]:
             found[package] |= set(_imported(path)) - {package}
     assert all(found[package] for package in ALLOWED if package != "core")
     wrong = {package: found[package] - ALLOWED[package] for package in ALLOWED}
@@ -59,7 +61,7 @@ def test_packages_depend_on_each_other_in_one_direction():
 
 def test_every_package_is_in_the_table():
     packages = {path.parent.name for path in ROOT.glob("*/__init__.py")}
-    assert packages - {"cli"} == set(ALLOWED)
+    assert packages - {"cli"} <= set(ALLOWED)
 
 
 WITHOUT_CONFIG = (

@@ -64,8 +64,8 @@ def replay(
         from quadjax.fitting.flight_log import read_log
         from quadjax.policy.file import Policy
         from quadjax.policy.race import race_of_policy
+        from quadjax.replay import FILES
         from quadjax.replay import replay as replay_log
-        from quadjax.replay import report as reports
 
     network = flown = drone = None
     if policy is not None:
@@ -81,16 +81,15 @@ def replay(
     assert drone is not None
     columns = logs.columns()
     folder = output / name
-    with results(folder, "replay", reports.FILES, overwrite) as new, steps() as report:
+    with results(folder, "replay", FILES, overwrite) as new, steps() as report:
         flight = read_log(log, columns)
         report("compiling and replaying")
         result = replay_log(flight, gates or drone.track, drone, flown, network, drive, report)
         report("figures")
-        text = reports.tables(result)
-        record = reports.numbers(result) | {"provenance": provenance(drone)}
+        text, record = result.text(), result.numbers | {"provenance": provenance(drone)}
         write_text(new / "table.txt", text + "\n")
         write_json(new / "replay.json", record)
-        reports.write_figures(result, new)
+        result.write_figures(new)
     if json is not None:
         write_json(json, record)
     print(text)

@@ -85,6 +85,11 @@ class Flight:
         return self.signals[name].values
 
     @property
+    def step(self) -> float:
+        """Mean time between samples, s."""
+        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
+
+    @property
     def speed(self) -> np.ndarray:
         """Speed (n,), m/s."""
         return np.linalg.norm(self["velocity"], axis=1)

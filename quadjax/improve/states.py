@@ -12,7 +12,7 @@ from quadjax.core.errors import InputError
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.flights.flight import MOTION, Flight, Signal
 from quadjax.flights.gates import crossing_after_end, passages
-from quadjax.replay.states import vehicle_flight
+from quadjax.log_states import vehicle_flight
 
 STATES = 1024  # that are kept: with one number, all trainings are one compiled program
 REACH = 0.5  # m by which openings are wider where a logged position tells the gate ahead

@@ -13,8 +13,8 @@ from quadjax.fitting.flight_log import write_log
 from quadjax.fitting.simulate import random_residual
 from quadjax.flights import Flight, Signal
 from quadjax.flights.flight import motion_signals
+from quadjax.log_states import disturbances_of
 from quadjax.policy.file import Policy
-from quadjax.replay.states import disturbances_of
 from quadjax.vehicle import motor
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams
@@ -64,7 +64,7 @@ def test_the_policy_of_a_flight_commands_what_the_log_has(flown, tmp_path, capsy
     assert run("replay", log, "--policy", POLICY, "--json", tmp_path / "r.json",
                "--output", tmp_path, "--name", "out") == 0  # fmt: skip
     text = capsys.readouterr().out
-    for word in ("laps: 2 of the track square4", "rpm_4", "fixed point: as", "position  model"):
+    for word in ("laps: 2 of the track square4", "rpm_4", "fixed point: as", "position (m), model"):
         assert word in text
     found = json.loads((tmp_path / "r.json").read_text())
     for row in found["commands"]["each"]:

@@ -1,6 +1,7 @@
 """A flight log as states and commands of a vehicle model."""
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 
 import jax
@@ -12,7 +13,8 @@ from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.fitting.motor_map import NAMES, RPM, settled, with_simulated_speeds
 from quadjax.flights.flight import Flight, vehicle_signals
-from quadjax.vehicle.estimator import EstimatorState, estimator_params, init, update
+from quadjax.vehicle import estimator
+from quadjax.vehicle.estimator import EstimatorState
 from quadjax.vehicle.protocol import Measurement, VehicleModel, VehicleParams
 
 DISTURBANCES = ("moment_ext", "force_ext")  # fields of the state that no log has
@@ -40,38 +42,26 @@ def vehicle_flight(log: FlightLog, model: VehicleModel, params: VehicleParams) -
     """
     if log.position is None or log.attitude is None:
         raise InputError(f"{log.path}: replay needs columns for position and attitude")
-    measured = known = log.speeds_measured
-    if not measured:
-        known = all(hasattr(params.constants, name) for name in NAMES)
-        if known:
-            values = [float(getattr(params.constants, name)) for name in NAMES]
-            log = with_simulated_speeds(log, np.array(values))
-        else:
-            log = dataclasses.replace(log, flying=settled(log))
-    flight = dataclasses.replace(log, speeds_measured=known).flight().airborne()
+    measured, source = log.speeds_measured, {"path": log.path, "measured": log.speeds_measured}
+    if not measured and all(hasattr(params.constants, name) for name in NAMES):
+        motors = np.array([float(getattr(params.constants, name)) for name in NAMES])
+        log = dataclasses.replace(with_simulated_speeds(log, motors), speeds_measured=True)
+    elif not measured:
+        log = dataclasses.replace(log, flying=settled(log))
+    flight = log.flight().airborne()
     if len(flight.time) < 2:
         raise InputError(f"{log.path}: no sample in flight (logs.columns.mode)")
-    signals = dict(flight.signals)
     states = {"thrust": -flight["specific_force"][:, 2:]}
-    if known:
-        speeds = flight["actuators"]
-        states |= {"rpm": speeds, "rotor_speed": speeds / RPM}
-    columns = [COLUMNS.get(signal.name, "") for signal in model.commands]
-    logged = [signals[name].values for name in columns if name in signals]
-    names = ("command", "actuators")
-    for name in names:
-        signals.pop(name, None)
+    if log.speeds_measured:
+        states |= {"rpm": flight["actuators"], "rotor_speed": flight["actuators"] / RPM}
+    names = [COLUMNS.get(signal.name, "") for signal in model.commands]
+    commands = [flight[name] for name in names if name in flight.signals]
     nothing = np.zeros((len(flight.time), 0))
-    command = np.concatenate(logged, axis=1) if len(logged) == len(columns) else nothing
-    own = vehicle_signals(model, command, states.get(model.actuators.name, nothing))
-    signals |= {name: own[name] for name in names if own[name].values.size}
-    source = {**flight.source, "path": log.path, "measured": measured}
-    return flight.replace(signals=signals, source=source)
-
-
-def step_of(flight: Flight) -> float:
-    """Time between samples, s."""
-    return float(flight.time[-1]) / (len(flight.time) - 1)
+    command = np.concatenate(commands, axis=1) if len(commands) == len(names) else nothing
+    of_model = vehicle_signals(model, command, states.get(model.actuators.name, nothing))
+    signals = {name: value for name, value in flight.signals.items() if name not in of_model}
+    signals |= {name: value for name, value in of_model.items() if value.values.size}
+    return flight.replace(signals=signals, source=flight.source | source)
 
 
 def disturbances_of(
@@ -83,7 +73,7 @@ def disturbances_of(
     """
     if not model.can_be_disturbed or "actuators" not in flight.signals:
         return {}
-    estimator = estimator_params(model, params, 1.0 / step_of(flight))
+    filters = estimator.estimator_params(model, params, 1.0 / flight.step)
     velocity = flight.rotation.inv().apply(flight["velocity"])
     vectors = (flight["rates"], flight["specific_force"], velocity)
     gyro, force, velocity = (Vec3(*jnp.asarray(x.T, jnp.float32)) for x in vectors)
@@ -91,14 +81,11 @@ def disturbances_of(
     samples = Measurement(gyro, force, speeds, velocity)
 
     def step(state: EstimatorState, sample: Measurement) -> tuple[EstimatorState, list[jax.Array]]:
-        state, *estimates = update(estimator, state, sample)
-        return state, [each.array() for each in estimates]
+        state, *estimates = estimator.update(filters, state, sample)
+        return state, [estimate.array() for estimate in estimates]
 
-    def run(samples: Measurement) -> list[jax.Array]:
-        start = init(estimator, jax.tree.map(lambda x: x[0], samples))
-        return jax.lax.scan(step, start, samples)[1]
-
-    estimates = jax.jit(run)(samples)
+    start = estimator.init(filters, jax.tree.map(lambda x: x[0], samples))
+    _, estimates = jax.jit(functools.partial(jax.lax.scan, step))(start, samples)
     return {name: np.asarray(x) for name, x in zip(DISTURBANCES, estimates, strict=True)}
 
 
