@@ -19,7 +19,7 @@ from quadjax.fitting.columns import WRITTEN
 from quadjax.fitting.config import LogsConfig, load_fit_config
 from quadjax.fitting.flight_log import read_log, write_log
 from quadjax.plant.config import load_plant_config
-from quadjax.policy.torch_files import read_state_dict
+from quadjax.policy.network_files import read_state_dict
 from quadjax.sweeps.sweep import load_sweep
 from quadjax.training.metrics import read_metrics
 from tests.policy.writers import linear, state_dict

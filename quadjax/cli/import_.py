@@ -59,8 +59,7 @@ def import_(
     """
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.policy.foreign import policy_of, sort_files
-        from quadjax.policy.foreign_residual import residual_of
+        from quadjax.policy.foreign import policy_of, residual_of, sort_files
         from quadjax.vehicle.residual import write_residual
 
     race = load_config(config, [text for text in files if opt.is_override(text)])

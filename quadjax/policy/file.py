@@ -19,7 +19,8 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite, read_layers, read_npz, write_npz
 from quadjax.core.resources import find_policy, policy_names
-from quadjax.policy import foreign, inference
+from quadjax.policy import inference
+from quadjax.policy.network_files import SUFFIXES, Layers
 from quadjax.policy.release1 import layout_of_release_1
 from quadjax.race.layout import Layout
 from quadjax.race.observations import DISTURBANCES
@@ -32,8 +33,6 @@ FORMAT, RELEASE_1 = FORMATS = ("quadjax-policy/2", "quadjax-policy/1")
 VALUE = "value_"  # prefix of the critic's arrays
 ACTIVATIONS = ("relu", "tanh")
 NOISE = ("mean", "clipped_mean")
-
-Layers = tuple[tuple[np.ndarray, np.ndarray], ...]  # (kernel (in, out), bias (out,)) of each
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,13 +97,15 @@ class Policy:
         if path.parent == Path() and not path.exists():
             names = ", ".join(policy_names())
             raise InputError(f"{path}: no such file, and no shipped policy: {names}")
-        if foreign.is_foreign(path):
+        if path.suffix.lower() in SUFFIXES:
+            from quadjax.policy.foreign import policy_of
+
             if config is None:
                 raise InputError(
                     f"{path}: not a policy file, expected a config too, of the race that the "
                     "network was trained in"
                 )
-            return foreign.policy_of(path, config, activation, std)
+            return policy_of(path, config, activation, std)
         arrays, meta = read_npz(path, FORMATS)
         layers = tuple(read_layers(path, arrays))
         actions = layers[-1][0].shape[1]

@@ -6,11 +6,11 @@ import pickle
 import numpy as np
 import pytest
 
+from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Policy
-from quadjax.policy.foreign import policy_of
-from quadjax.policy.foreign_residual import import_residual
-from quadjax.policy.torch_files import LEGACY, read_state_dict
+from quadjax.policy.foreign import policy_of, residual_of
+from quadjax.policy.network_files import read_state_dict
 from quadjax.vehicle.residual import read_residual
 from tests.commands import run
 from tests.policy.writers import (
@@ -99,7 +99,7 @@ def test_a_residual_of_two_state_dicts(tmp_path, residual_files, capsys):
     assert (residual.rpm_min, residual.rpm_max, residual.thrust_sign) == (3000, 12000, -1)
     np.testing.assert_array_equal(residual.moment[0][0], arrays["0.weight"].T)
     with pytest.raises(InputError, match=r"moment\.pth: the thrust network maps 10 inputs to 3"):
-        import_residual(residual_files[1], residual_files[0], (3000, 11000), 1)
+        residual_of(load_config("e2e_paper").vehicle, residual_files[::-1], 1)
 
 
 def test_torch_reads_and_writes_the_same(tmp_path):
@@ -128,7 +128,7 @@ def evil_pickle():
 HUGE = {"size": (2**20, 2**20), "stride": (0, 0)}
 REFUSED = {
     "a pickle that runs a command": (archive(evil_pickle(), {}), "which is not loaded"),
-    "the legacy format": (LEGACY + b"rest", "legacy format"),
+    "the legacy format": (pickle.dumps(0x1950A86A20F9469CFC6C), "legacy format"),
     "beyond its storage": (state_dict(linear((7, 1)), offset=1), "larger than its storage"),
     "repeated storage": (state_dict(linear((7, 1)), **HUGE), "larger than its storage"),
     "a short storage": (state_dict(linear((7, 1)), count=9), "expected 9"),
