@@ -18,11 +18,10 @@ from quadjax.fitting.config import load_fit_config
 from quadjax.fitting.fit import fit as fit_drone
 from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.report import write_results
-from quadjax.improve.model import Model
-from quadjax.improve.rounds import CHECK_SEED, fly_and_log, fly_checks, tune
-from quadjax.improve.setting import Round, Setting
+from quadjax.improve import CHECK_SEED, Round, Setting, fly_and_log, fly_checks, tune
 from quadjax.plant import config as plants
 from quadjax.plant.build import drawn_factors, nominal_vehicle
+from quadjax.refit import Model
 from quadjax.vehicle.battery import BatteryConfig
 from quadjax.vehicle.constants import constant_names
 from quadjax.vehicle.motor import MotorConstants
@@ -69,7 +68,7 @@ def plant_model(setting: Setting, folder: Path) -> tuple[PlantModel, list[Path]]
     exactly = dataclasses.replace(setting, plant=exact(plant), flights=FLIGHTS, laps=LAPS)
     state = Round(setting.policy, Model.of(setting.race), 0.0)
     flown = fly_and_log(exactly, state, "plant", folder / "logs", CHECK_SEED + 1, print)
-    long = [run for run, s in enumerate(flown.seconds) if s > fit.logs.min_seconds]
+    long = [run for run, s in enumerate(flown["seconds"]) if s > fit.logs.min_seconds]
     files = [folder / "logs" / f"plant_{run}.csv" for run in long]
     changed = fit.replace(
         vehicle=str(vehicle.resolve()),
@@ -99,4 +98,4 @@ if __name__ == "__main__":
     logs = [read_log(file, fit.logs) for file in files]
     policy = tune(setting, Round(setting.policy, model, options.margin), logs, folder, print)
     path = options.output / f"check_{setting.check}_reference.json"
-    write_json(path, dataclasses.asdict(fly_checks(setting, policy)))
+    write_json(path, fly_checks(setting, policy))

@@ -25,8 +25,9 @@ ALLOWED = {
     "log_states": {"core", "vehicle", "flights", "fitting"},
     "replay": CONFIG - {"learners"}
     | {"config", "policy", "flights", "evaluation", "fitting", "export", "log_states"},
-    "improve": CONFIG
-    | {"config", "policy", "training", "flights", "fitting", "plant", "log_states"},
+    # What learns from logs knows nothing of the plant.
+    "refit": CONFIG - {"learners"} | {"config", "flights", "fitting", "evaluation", "log_states"},
+    "improve": CONFIG | {"config", "policy", "training", "flights", "fitting", "plant", "refit"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant"},
     "sil": CONFIG - {"learners"}
     | {"config", "policy", "training", "evaluation", "plant", "export", "flights"},

@@ -63,13 +63,12 @@ def improve(
     if logs:
         opt.refuse("with --logs", *ON_PLANT)
     with loading():
+        from quadjax import improve as loop
         from quadjax.config.loading import load_config
         from quadjax.core.compilation_cache import enable_compilation_cache
         from quadjax.core.folders import claim, remove_files
         from quadjax.fitting.config import load_fit_config
         from quadjax.fitting.flight_log import find_logs
-        from quadjax.improve import rounds as run
-        from quadjax.improve.setting import Setting, check_setting, start
         from quadjax.learners.parallel import prepare_devices
         from quadjax.plant.config import load_plant_config
 
@@ -81,17 +80,17 @@ def improve(
         if plant_seed is not None:
             drone = drone.replace(constants=drone.constants.replace(seed=plant_seed))
     numbers = rounds, flights, laps, steps_, check, seed
-    setting = Setting(race, policy, model, drone, tuple(files), *numbers)
+    setting = loop.Setting(race, policy, model, drone, tuple(files), *numbers)
     enable_compilation_cache()
     prepare_devices(race.run.devices)
-    check_setting(setting)
+    setting.check_policy()
     try:
-        with claim(output, run.KIND, run.FILES, overwrite), steps() as report:
+        with claim(output, loop.KIND, loop.FILES, overwrite), steps() as report:
             if overwrite:
-                remove_files(output, run.FILES)
-            start(setting, output)
-            text = run.improve(setting, output, report)
-    except run.StoppedError:
+                remove_files(output, loop.FILES)
+            setting.start(output)
+            text = loop.improve(setting, output, report)
+    except loop.StoppedError:
         print(f"Stopped and saved. Continue with: {command_again()}")
         return INTERRUPTED
     print(text)

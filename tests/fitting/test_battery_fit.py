@@ -11,7 +11,7 @@ from quadjax.core.vectors import Rotors
 from quadjax.fitting import regression
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.fitting.lag import BatteryFit, drain_of, fit_battery
-from quadjax.improve.model import Model, constant_lines
+from quadjax.refit import Model, changes
 from quadjax.vehicle.battery import BatteryConfig, battery_params, highest_rpm
 
 HOVER, HIGHEST, TAU, RATE = 7500.0, 11000.0, 0.05, 200.0
@@ -72,7 +72,7 @@ def test_a_solver_that_stops_before_it_converges_is_reported(monkeypatch):
     found = fit_battery(logs, HOVER, BATTERY)
     assert not found.converged
     model = Model({}, None, found)
-    assert any("stopped before it converged" in line for line in constant_lines(model, model))
+    assert "stopped before it converged" in changes(model, model)
 
 
 def test_a_log_without_commanded_speeds_is_named():

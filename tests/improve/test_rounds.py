@@ -5,10 +5,9 @@ import json
 
 import pytest
 
+from quadjax import improve as rounds
 from quadjax.core.errors import InputError
-from quadjax.improve import rounds
-from quadjax.improve.rounds import fly_rounds, learn, rounds_table
-from quadjax.improve.setting import Flown, Setting, check_setting, start
+from quadjax.improve import Setting, fly_rounds, learn, rounds_table
 from quadjax.plant.config import PlantConfig
 from quadjax.policy.file import Policy
 from tests.commands import run
@@ -30,9 +29,10 @@ def flights(monkeypatch):
 
     def fly(setting, state, name, folder, seed, report):
         flown.append(state.policy)
-        for index in range(setting.flights):
+        count = setting.flights
+        for index in range(count):
             drone_log(folder / f"{name}_{index}.csv", 10 * seed + index)
-        return Flown([8.0] * setting.flights, [8.0] * setting.flights, [""] * setting.flights)
+        return {"seconds": [8.0] * count, "totals": [8.0] * count, "crashes": [""] * count}
 
     monkeypatch.setattr(rounds, "fly_and_log", fly)
     return flown
@@ -42,7 +42,7 @@ def flights(monkeypatch):
 def test_a_stopped_command_repeats_no_step(tmp_path, flights, monkeypatch):
     setting, folder = setting_of(tmp_path), tmp_path / "out"
     folder.mkdir()
-    start(setting, folder)
+    setting.start(folder)
     trained = rounds.train
 
     def stop(*arguments, **options):
@@ -55,7 +55,7 @@ def test_a_stopped_command_repeats_no_step(tmp_path, flights, monkeypatch):
     model = (folder / "round_1" / "model.json").stat().st_mtime_ns
     (done,) = fly_rounds(setting, folder, **SILENT)
     assert (folder / "round_1" / "model.json").stat().st_mtime_ns == model
-    assert len(flights) == 1 and done.found.refused == "" and done.found.change < -0.1
+    assert len(flights) == 1 and done.refitted.refused == "" and done.refitted.change < -0.1
     first, policy = Policy.load(setting.policy), Policy.load(folder / "policy.npz")
     assert (first.layers[0][0] != policy.layers[0][0]).any()
     one, two = fly_rounds(setting_of(tmp_path, rounds=2), folder, **SILENT)
@@ -67,7 +67,7 @@ def test_a_stopped_command_repeats_no_step(tmp_path, flights, monkeypatch):
     assert "round 2: the model is rejected: its error on held-out flights" in text
     assert not (folder / "round_2" / "training").exists()
     with pytest.raises(InputError, match="improve.json has another seed"):
-        start(setting_of(tmp_path, seed=1), folder)
+        setting_of(tmp_path, seed=1).start(folder)
 
 
 @pytest.mark.slow
@@ -95,16 +95,17 @@ def test_the_first_and_the_last_policy_are_checked_once(tmp_path, monkeypatch):
 
     def fly(setting, policy):
         checked.append(policy.name)
-        return Flown([9.0] * setting.check, [9.0, None], ["", "hit a gate"])
+        return {"seconds": [9.0] * 2, "totals": [9.0, None], "crashes": ["", "hit a gate"]}
 
     monkeypatch.setattr(rounds, "fly_checks", fly)
     setting = setting_of(tmp_path, check=2)
     found = rounds.checked(setting, 1, tmp_path, **SILENT)
-    assert found["before"].cells == found["after"].cells == ("1 of 2", "9.00")
+    assert list(found) == ["before", "after"]
     assert rounds.checked(setting, 1, tmp_path, **SILENT) == found
     rounds.checked(setting, 2, tmp_path, **SILENT)  # after one more round
     assert checked == ["first.npz", "policy.npz", "policy.npz"]
-    assert "| check, after | 1 of 2 | 9.00 |" in rounds_table([], found)
+    for name in ("before", "after"):
+        assert f"| check, {name} | 1 of 2 | 9.00 |" in rounds_table([], found)
 
 
 @pytest.mark.slow
@@ -140,10 +141,10 @@ def test_a_policy_of_another_vehicle_or_without_a_critic_is_refused(tmp_path):
     own = Policy.load(setting.policy)
     dataclasses.replace(own, value=None).save(setting.policy)
     with pytest.raises(InputError, match="has no critic"):
-        check_setting(setting)
+        setting.check_policy()
     drawn = race("randomization.all=0.2", "observation.critic_constants=true")
     with pytest.raises(InputError, match="critic_constants is true, allowed: false"):
-        check_setting(dataclasses.replace(setting, race=drawn))
+        dataclasses.replace(setting, race=drawn).check_policy()
     policy_file(tmp_path, race("vehicle.model=rate"))
     with pytest.raises(InputError, match="a policy for the rate vehicle"):
-        check_setting(setting)
+        setting.check_policy()

@@ -1,9 +1,9 @@
 """Frame rate, load time and size of pages, in headless Chromium's software renderer.
 
-python -m tests.view.measure [NUMBER OF FLIGHTS ...]
+python -m benchmarks.page [NUMBER OF FLIGHTS ...]
 
-Each page has flights of six laps and plays at 1280x720 in the orbit view with its panel. Load time
-is from opening the file to the first frame.
+Each page has flights of six laps and plays in the orbit view, at the size of a laptop with its
+panel, and at that of a phone. Load time is from opening the file to the first frame.
 """
 
 import argparse
@@ -16,10 +16,11 @@ import psutil
 from playwright.sync_api import sync_playwright
 
 from quadjax.view.page import write_page
-from tests.view.browser import DESK, OPTIONS, READY, wait_until
+from tests.view.browser import OPTIONS, READY, wait_until
 from tests.view.scenes import circle, scene
 
 LAP, LAPS = 2.2, 6  # s
+SIZES = ((1280, 800), (390, 844))  # px
 MEASURE = """milliseconds => new Promise(resolve => {
   const viewer = window.quadjax.viewer, times = [];
   let drawing = 0, frames = 0;
@@ -48,7 +49,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=8.0, help="of each measurement")
     parser.add_argument("--page", type=Path, help="measure this page instead")
     options = parser.parse_args()
-    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, {DESK[0]}x{DESK[1]}")
+    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
         path = shutil.which("chromium") or shutil.which("chromium-browser")
         browser = playwright.chromium.launch(executable_path=path, args=list(OPTIONS))
@@ -57,15 +58,16 @@ def main() -> None:
             if not options.page:
                 flights = (circle(f"flight {k}", LAP + 0.02 * k, LAPS) for k in range(count))
                 write_page(page, scene(*flights))
-            measure(browser, page.resolve(), 1.0)  # the browser's first pages are slower
-            found = measure(browser, page.resolve(), options.seconds)
-            print(f"{count or page.name} flights: {found}", flush=True)
+            measure(browser, page.resolve(), 1.0, SIZES[0])  # the first pages are slower
+            for size in SIZES:
+                found = measure(browser, page.resolve(), options.seconds, size)
+                print(f"{count or page.name} flights, {size[0]}x{size[1]}: {found}", flush=True)
         browser.close()
 
 
-def measure(browser, path: Path, seconds: float) -> str:
+def measure(browser, path: Path, seconds: float, size: tuple[int, int]) -> str:
     """The figures of one page, as text."""
-    tab = browser.new_page(viewport={"width": DESK[0], "height": DESK[1]}, color_scheme="dark")
+    tab = browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme="dark")
     tab.goto(path.as_uri())
     wait_until(tab, READY)
     load = tab.evaluate("() => performance.getEntriesByName('first-frame')[0]?.startTime ?? NaN")
