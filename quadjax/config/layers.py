@@ -21,7 +21,7 @@ from quadjax.core.yaml_files import (
     read_layers,
     read_tree_with_bases,
 )
-from quadjax.learners.section import Schedule
+from quadjax.learners.schedules import Schedule
 from quadjax.vehicle.vehicle_file import vehicle_values
 
 OVERRIDES = "overrides"  # the source of the last layer

@@ -21,9 +21,9 @@ from quadjax.core.imports import load_object
 from quadjax.core.resources import find_config, find_file
 from quadjax.core.sections import BadValue, build, one_line_errors, refuse
 from quadjax.core.yaml_files import Sources, Tree, merge_layers, override
-from quadjax.learners.ppo.hyperparameters import PPO
+from quadjax.learners.ppo import PPO
 from quadjax.learners.section import LearnerSection
-from quadjax.learners.shac.hyperparameters import SHAC
+from quadjax.learners.shac import SHAC
 from quadjax.vehicle.registry import MODELS
 from quadjax.vehicle.registry import model as vehicle_model
 from quadjax.vehicle.vehicle_file import for_each_rotor

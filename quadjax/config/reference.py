@@ -7,8 +7,8 @@ from quadjax.config.schema import Config, Schedule
 from quadjax.core.markdown import table
 from quadjax.core.sections import Section, is_section
 from quadjax.core.yaml_files import to_yaml
-from quadjax.learners.ppo.hyperparameters import PPO
-from quadjax.learners.shac.hyperparameters import SHAC
+from quadjax.learners.ppo import PPO
+from quadjax.learners.shac import SHAC
 from quadjax.race.track import GateSection
 
 LEARNERS: tuple[type[Section], ...] = (PPO, SHAC)

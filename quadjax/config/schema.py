@@ -12,8 +12,9 @@ from quadjax.core.errors import InputError
 from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.sections import Field, FolderName, Section
 from quadjax.core.yaml_files import to_yaml
-from quadjax.learners.ppo.hyperparameters import PPO
-from quadjax.learners.section import Curriculum, LearnerSection, Network, Schedule
+from quadjax.learners.ppo import PPO
+from quadjax.learners.schedules import Curriculum, Schedule
+from quadjax.learners.section import LearnerSection, Network
 from quadjax.race.observations import Observation
 from quadjax.race.rewards import Reward
 from quadjax.race.rules import Rules, TrainingLimits

@@ -12,7 +12,7 @@ import numpy as np
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.integrations.gym import AutoresetMode, RaceVectorEnv
-from quadjax.learners.ppo.hyperparameters import PPO as Hyperparameters
+from quadjax.learners.ppo import PPO as Hyperparameters
 from quadjax.learners.section import LearnerSection, Network
 from quadjax.policy.file import Policy
 from quadjax.race.environment import RaceParams

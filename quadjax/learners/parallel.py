@@ -6,6 +6,7 @@ depend on the number of devices (``jax_threefry_partitionable``, JAX's default),
 the same on any number, up to rounding. On a CPU there is a device of one thread for each core.
 """
 
+import contextlib
 import dataclasses
 import os
 from collections.abc import Callable
@@ -18,7 +19,7 @@ import psutil
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from quadjax.core.errors import InputError
-from quadjax.learners.state import Learner, Metrics, TrainState
+from quadjax.learners.state import Learner, Metrics, TrainState, Update
 
 AXIS = "environments"  # name of the mesh axis over which the environments are split
 SHARED = PartitionSpec()
@@ -28,9 +29,8 @@ Tree = TypeVar("Tree")
 
 def core_count() -> int:
     """The number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def prepare_devices(wanted: str | int) -> None:
@@ -42,10 +42,8 @@ def prepare_devices(wanted: str | int) -> None:
         wanted: ``run.devices``: auto, all, or a number.
     """
     count = int(wanted) if str(wanted).isdigit() else core_count()
-    try:
+    with contextlib.suppress(RuntimeError):
         jax.config.update("jax_num_cpu_devices", count)
-    except RuntimeError:
-        return
 
 
 def choose_devices(wanted: str | int, num_envs: int) -> int:
@@ -94,24 +92,21 @@ def choose_mesh(wanted: str | int, state: TrainState) -> Mesh:
     environments = jax.tree.leaves(state.environment)
     num_envs = int(environments[0].shape[-1]) if environments else 0
     mesh = make_mesh(choose_devices(wanted, num_envs))
-    check_memory(tree_bytes(state) / mesh.size, mesh)
+    size = sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(state))
+    check_memory(size / mesh.size, mesh)
     return mesh
 
 
 def split_last(tree: Any) -> Any:
     """A tree of partition specs: every leaf is split along its last axis."""
-    return jax.tree.map(_split, tree)
-
-
-def _split(leaf: jax.Array) -> PartitionSpec:
-    return PartitionSpec(*(None,) * (leaf.ndim - 1), AXIS)
+    return jax.tree.map(lambda leaf: PartitionSpec(*(None,) * (leaf.ndim - 1), AXIS), tree)
 
 
 def _shardings(state: TrainState, mesh: Mesh) -> TrainState:
     """How each leaf is laid out: environments are split by their last axis, all else is shared."""
-    shared = jax.tree.map(lambda _: NamedSharding(mesh, SHARED), state)
-    split = jax.tree.map(lambda x: NamedSharding(mesh, _split(x)), state.environment)
-    return dataclasses.replace(shared, environment=split)
+    shared = jax.tree.map(lambda _: SHARED, state)
+    specs = dataclasses.replace(shared, environment=split_last(state.environment))
+    return jax.tree.map(lambda spec: NamedSharding(mesh, spec), specs)
 
 
 def place(state: TrainState, mesh: Mesh) -> TrainState:
@@ -171,9 +166,7 @@ def compile_options() -> dict[str, bool]:
     return {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
 
 
-def repeat(
-    learner: Learner, count: int
-) -> Callable[[Any, Any, TrainState], tuple[TrainState, Metrics]]:
+def repeat(learner: Learner, count: int) -> Update:
     """A number of updates as one function, with the metrics of each, (count,)."""
 
     def many(hyper: Any, params: Any, state: TrainState) -> tuple[TrainState, Metrics]:
@@ -223,11 +216,6 @@ def compile_chunk(
         return program(hyper, jax.device_put(params, shared), state)
 
     return chunk
-
-
-def tree_bytes(shapes: Any) -> int:
-    """Memory of a pytree of arrays or shapes."""
-    return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(shapes))
 
 
 def program_bytes(program: jax.stages.Compiled) -> int:

@@ -1,17 +1,20 @@
-"""Rollouts of a policy in many environments, and what all learners compute from them."""
+"""What all learners share: rollouts, targets of the value, gradient steps on minibatches."""
 
+import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import optax
 from flax import struct
 
 from quadjax.core.environment import Environment, where_done
 from quadjax.core.gradients import Scalar
-from quadjax.learners.networks import ActorCritic, Networks
 from quadjax.learners.parallel import AXIS, constrain
-from quadjax.learners.state import Metrics
+from quadjax.learners.state import ActorCritic, Metrics, Networks, TrainState
+
+Carry = TypeVar("Carry")
 
 
 @struct.dataclass
@@ -25,6 +28,27 @@ class Steps:
     terminated: jax.Array  # (time, n) bool
     truncated: jax.Array  # (time, n) bool
     completed: jax.Array | None  # (time, n), where the environment reports it
+
+
+def first_state(
+    environment: Environment,
+    networks: Networks,
+    env_params: Any,
+    key: jax.Array,
+    num_envs: int,
+    log_std: Scalar,
+) -> TrainState:
+    """A run's first state, without an optimizer, a target and a moving average."""
+    network_key, reset_key, key = jax.random.split(key, 3)
+    params = networks.init(network_key)
+    return TrainState(
+        params=dataclasses.replace(params, log_std=jnp.full_like(params.log_std, log_std)),
+        optimizer=(),
+        target=None,
+        environment=environment.reset(env_params, jax.random.split(reset_key, num_envs)),
+        key=key,
+        update=jnp.zeros((), jnp.int32),
+    )
 
 
 def draw(
@@ -151,3 +175,82 @@ def step_metrics(steps: Steps, error: jax.Array, target: jax.Array) -> Metrics:
         passed = jnp.mean(steps.completed)
         metrics["pass_rate"] = passed / jnp.maximum(passed + terminated, 1e-9)
     return metrics
+
+
+def run_epochs(
+    step: Callable[[Carry, Any], tuple[Carry, Metrics]],
+    carry: Carry,
+    data: Any,
+    key: jax.Array,
+    num_epochs: int,
+    num_minibatches: int,
+    block: int,
+) -> tuple[Carry, Metrics]:
+    """Several passes over the data of an update, each in minibatches of another order.
+
+    On several devices every one holds all data, and takes its part of the rows of each minibatch.
+
+    Args:
+        step: of a minibatch of rows (rows, ...).
+        carry: what the steps change: parameters and the state of their optimizer.
+        data: arrays (time, n, ...).
+        key: PRNG key of the order.
+        num_epochs: passes.
+        num_minibatches: of a pass; divides the number of blocks.
+        block: consecutive steps of one environment that stay together; divides time.
+
+    Returns:
+        The carry, and the metrics of every step, each (num_epochs, num_minibatches).
+    """
+
+    def in_blocks(x: jax.Array) -> jax.Array:
+        """Blocks of steps of one environment, (blocks, block, ...)."""
+        time, n, *rest = x.shape
+        x = x.reshape(time // block, block, n, *rest)
+        return jnp.moveaxis(x, 2, 0).reshape(-1, block, *rest)
+
+    def rows_of(blocks: jax.Array, chosen: jax.Array) -> jax.Array:
+        chosen_blocks = blocks.at[chosen].get(mode="promise_in_bounds")
+        return chosen_blocks.reshape(-1, *blocks.shape[2:])
+
+    blocks = constrain(jax.tree.map(in_blocks, data))
+    count = jax.tree.leaves(blocks)[0].shape[0]
+
+    def minibatch(carry: Carry, chosen: jax.Array) -> tuple[Carry, Metrics]:
+        rows = jax.tree.map(lambda x: rows_of(x, chosen), blocks)
+        return step(carry, constrain(rows, AXIS))
+
+    def epoch(carry: Carry, key: jax.Array) -> tuple[Carry, Metrics]:
+        order = jax.random.permutation(key, count).reshape(num_minibatches, -1)
+        return jax.lax.scan(minibatch, carry, order)
+
+    return jax.lax.scan(epoch, carry, jax.random.split(key, num_epochs))
+
+
+def clip(gradient: Any, limit: Scalar) -> Any:
+    """The gradient, scaled to a global norm of at most ``limit``."""
+    return optax.clip_by_global_norm(limit).update(gradient, optax.EmptyState())[0]
+
+
+def descend(
+    optimizer: optax.GradientTransformation,
+    gradient: Any,
+    carry: tuple[Any, optax.OptState],
+    accepted: jax.Array | bool = True,
+) -> tuple[tuple[Any, optax.OptState], jax.Array]:
+    """One step of an optimizer on (parameters, its state), if the gradient is finite.
+
+    Args:
+        optimizer: its updates are added to the parameters.
+        gradient: of the parameters.
+        carry: parameters and the optimizer's state.
+        accepted: () where it is false, the step changes nothing either.
+
+    Returns:
+        Parameters and state, and whether (1 or 0) the step was skipped.
+    """
+    accepted = jnp.isfinite(optax.tree.norm(gradient)) & accepted
+    change, state = optimizer.update(gradient, carry[1], carry[0])
+    new = (optax.apply_updates(carry[0], change), state)
+    chosen = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), new, carry)
+    return chosen, 1.0 - accepted.astype(jnp.float32)

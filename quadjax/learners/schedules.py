@@ -8,8 +8,9 @@ traced: other numbers for the same leaves do not trigger recompilation.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -17,11 +18,69 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.errors import InputError
+from quadjax.core.sections import LARGEST, Field, Section
 from quadjax.learners.loop import Plan
-from quadjax.learners.section import Curriculum, Schedule
 from quadjax.learners.state import Learner, Metrics, TrainState
 
 Tree = Any  # a pytree
+Value = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+
+
+class Curriculum(Section):
+    """The level that schedules with ``by: pass_rate`` follow: from 0, the start, to 1."""
+
+    pass_rate: float = Field(
+        0.9,
+        gt=0,
+        lt=1,
+        description="the level rises while at least this share of gates is passed: gates passed, "
+        "divided by gates passed and crashes (and finished courses)",
+    )
+    duration: float = Field(
+        0.25, gt=0, le=1, description="shortest time from level 0 to 1, as a fraction of the run"
+    )
+
+
+class Schedule(Section):
+    """Values of one number during training: a hyperparameter, or one of the environment."""
+
+    linear: tuple[Value | Literal["value"], ...] = Field(
+        min_length=2,
+        max_length=64,
+        description="values at equal distances, linear in between; value: the key's own",
+    )
+    start: float = Field(
+        0.0,
+        alias="from",
+        ge=0,
+        le=1e12,
+        description="when the first value ends: up to 1 a fraction of the run, above 1 steps",
+    )
+    until: float = Field(
+        1.0, gt=0, le=1e12, description="when the last value is reached: as from; 1 is the end"
+    )
+    by: Literal["steps", "pass_rate"] = Field(
+        "steps",
+        description="what the schedule follows: the steps of the run, or a level from 0 to 1 that "
+        "rises while the share of gates passed is above curriculum.pass_rate, and falls while it "
+        "is below",
+    )
+
+    def knots(self, run_steps: int, total: int) -> list[float]:
+        """Environment steps, or levels, of the values.
+
+        Args:
+            run_steps: ``run.steps``, to which fractions refer.
+            total: steps at the end of the run, a whole number of chunks.
+        """
+        begin, end = self.start, self.until
+        if self.by == "steps":
+            begin, end = (
+                float(total) if x == 1 else x if x > 1 else min(x * run_steps, total)
+                for x in (begin, end)
+            )
+        last = len(self.linear) - 1
+        return [begin + (end - begin) * i / last for i in range(last + 1)]
 
 
 @struct.dataclass
@@ -40,8 +99,8 @@ class Scheduled:
 
     hyper: Tree
     schedules: tuple[Knots, ...]
-    pass_rate: jax.Array | None = None  # () at which the level rises; None: there is no level
-    climb: jax.Array | None = None  # () largest change of the level per update
+    # () share at which the level rises, and its largest change per update; None: no level.
+    level: tuple[jax.Array, jax.Array] | None = None
 
 
 def make_schedule(
@@ -81,16 +140,11 @@ def make_schedule(
                 f"schedules: {key} cannot be scheduled: it changes numbers that are whole or "
                 "infinite, allowed: finite floating-point numbers"
             )
+    places = knots.astype(np.float32)
+    for i in range(len(places) - 2, -1, -1):  # of equal ones, the earlier get smaller numbers
+        places[i] = min(places[i], np.nextafter(places[i + 1], np.float32(-np.inf)))
     values = tuple(jnp.asarray(column) for column in changed.values())
-    return Knots(jnp.asarray(_increasing(knots)), values, tuple(changed), by_level)
-
-
-def _increasing(knots: np.ndarray) -> np.ndarray:
-    """The knots in single precision; of equal ones, the earlier are moved to smaller numbers."""
-    knots = knots.astype(np.float32)
-    for i in range(len(knots) - 2, -1, -1):
-        knots[i] = min(knots[i], np.nextafter(knots[i + 1], np.float32(-np.inf)))
-    return knots
+    return Knots(jnp.asarray(places), values, tuple(changed), by_level)
 
 
 def schedule_learner(
@@ -134,36 +188,42 @@ def schedule_learner(
         for leaf in built[-1].leaves:
             if (other := keys.setdefault(leaf, key)) != key:
                 raise InputError(f"schedules: {other} and {key} change the same number")
-    hyper = Scheduled(learner.hyper, tuple(built))
+    level = None
     if any(knots.by_level for knots in built):
         curriculum = curriculum or Curriculum()
         updates = max(1.0, curriculum.duration * steps / plan.steps_per_update)
-        pass_rate, climb = jnp.float32(curriculum.pass_rate), jnp.float32(1.0 / updates)
-        hyper = dataclasses.replace(hyper, pass_rate=pass_rate, climb=climb)
-    return _scheduled(learner, hyper)
+        level = jnp.float32(curriculum.pass_rate), jnp.float32(1.0 / updates)
+    hyper = Scheduled(learner.hyper, tuple(built), level)
+    return dataclasses.replace(
+        learner,
+        init=functools.partial(_init, learner),
+        update=functools.partial(_update, learner),
+        hyper=hyper,
+    )
 
 
-def _scheduled(learner: Learner, hyper: Scheduled) -> Learner:
-    """The learner that applies the schedules of its hyperparameters."""
+def _init(learner: Learner, hyper: Scheduled, params: Tree, key: jax.Array) -> TrainState:
+    level, first = jnp.zeros(()), jnp.zeros((), jnp.int32)
+    numbers, params = apply_schedules((hyper.hyper, params), hyper.schedules, first, level)
+    state = learner.init(numbers, params, key)
+    return state if hyper.level is None else dataclasses.replace(state, level=level)
 
-    def init(hyper: Scheduled, params: Tree, key: jax.Array) -> TrainState:
-        level, first = jnp.zeros(()), jnp.zeros((), jnp.int32)
-        numbers, params = apply_schedules((hyper.hyper, params), hyper.schedules, first, level)
-        state = learner.init(numbers, params, key)
-        return state if hyper.climb is None else dataclasses.replace(state, level=level)
 
-    def update(hyper: Scheduled, params: Tree, state: TrainState) -> tuple[TrainState, Metrics]:
-        level = None if hyper.climb is None else state.level
-        numbers, params = apply_schedules(
-            (hyper.hyper, params), hyper.schedules, state.update, level
-        )
-        following, metrics = learner.update(numbers, params, state)
-        if hyper.pass_rate is None or hyper.climb is None:
-            return following, metrics
-        level = next_level(state.level, metrics, hyper.pass_rate, hyper.climb)
-        return dataclasses.replace(following, level=level), metrics | {"level": level}
-
-    return dataclasses.replace(learner, init=init, update=update, hyper=hyper)
+def _update(
+    learner: Learner, hyper: Scheduled, params: Tree, state: TrainState
+) -> tuple[TrainState, Metrics]:
+    """An update; the level rises while enough parts of the task are completed."""
+    level = None if hyper.level is None else state.level
+    numbers, params = apply_schedules((hyper.hyper, params), hyper.schedules, state.update, level)
+    following, metrics = learner.update(numbers, params, state)
+    if hyper.level is None:
+        return following, metrics
+    if "pass_rate" not in metrics:
+        raise InputError("schedules by pass_rate: the learner reports no metric pass_rate")
+    pass_rate, climb = hyper.level
+    step = jnp.where(metrics["pass_rate"] >= pass_rate, climb, -climb)
+    level = jnp.clip(state.level + step, 0.0, 1.0)
+    return dataclasses.replace(following, level=level), metrics | {"level": level}
 
 
 def apply_schedules(
@@ -179,17 +239,3 @@ def apply_schedules(
             weights = shares.reshape(count, *(1,) * (values.ndim - 1)).astype(values.dtype)
             leaves[index] = jnp.sum(weights * values, axis=0)
     return jax.tree.unflatten(structure, leaves)
-
-
-def next_level(
-    level: jax.Array, metrics: Metrics, pass_rate: jax.Array, climb: jax.Array
-) -> jax.Array:
-    """The level after an update: it rises while enough parts of the task are completed.
-
-    Raises:
-        InputError: the learner or the environment does not report the share.
-    """
-    if "pass_rate" not in metrics:
-        raise InputError("schedules by pass_rate: the learner reports no metric pass_rate")
-    step = jnp.where(metrics["pass_rate"] >= pass_rate, climb, -climb)
-    return jnp.clip(level + step, 0.0, 1.0)

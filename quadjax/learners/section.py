@@ -1,20 +1,25 @@
-"""The base class of the learners' hyperparameters, and the section of the networks."""
+"""The base class of the learners, which trains on any environment; the section of the networks."""
 
-from __future__ import annotations
-
+import dataclasses
+import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from quadjax.core.sections import LARGEST, Field, Section, Unit
+import jax
+import jax.numpy as jnp
+import numpy as np
 
-if TYPE_CHECKING:  # JAX is imported when it is used
-    from quadjax.core.environment import Environment
-    from quadjax.learners.networks import Networks
-    from quadjax.learners.state import Learner
-    from quadjax.learners.train import TrainResult
+from quadjax.core.environment import Environment
+from quadjax.core.errors import InputError, close_match
+from quadjax.core.limits import MAX_SEED, check_integer
+from quadjax.core.sections import LARGEST, Field, Section, Unit, build
+from quadjax.learners.loop import Plan, Row, plan_chunks, train_chunks
+from quadjax.learners.parallel import choose_mesh, compile_chunk, place
+from quadjax.learners.schedules import Schedule, schedule_learner
+from quadjax.learners.state import ActorCritic, Learner, Networks
 
+CHUNKS = 20  # of a run, about: how often progress is reported
 MAX_ENVS = 1_000_000
-Value = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Width = Annotated[int, Field(ge=1, le=8192)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
 NumEnvs = Annotated[
@@ -49,64 +54,17 @@ class Network(Section):
     )
 
 
-class Curriculum(Section):
-    """The level that schedules with ``by: pass_rate`` follow: from 0, the start, to 1."""
-
-    pass_rate: float = Field(
-        0.9,
-        gt=0,
-        lt=1,
-        description="the level rises while at least this share of gates is passed: gates passed, "
-        "divided by gates passed and crashes (and finished courses)",
-    )
-    duration: float = Field(
-        0.25, gt=0, le=1, description="shortest time from level 0 to 1, as a fraction of the run"
-    )
-
-
-class Schedule(Section):
-    """Values of one number during training: a hyperparameter, or one of the environment."""
-
-    linear: tuple[Value | Literal["value"], ...] = Field(
-        min_length=2,
-        max_length=64,
-        description="values at equal distances, linear in between; value: the key's own",
-    )
-    start: float = Field(
-        0.0,
-        alias="from",
-        ge=0,
-        le=1e12,
-        description="when the first value ends: up to 1 a fraction of the run, above 1 steps",
-    )
-    until: float = Field(
-        1.0, gt=0, le=1e12, description="when the last value is reached: as from; 1 is the end"
-    )
-    by: Literal["steps", "pass_rate"] = Field(
-        "steps",
-        description="what the schedule follows: the steps of the run, or a level from 0 to 1 that "
-        "rises while the share of gates passed is above curriculum.pass_rate, and falls while it "
-        "is below",
-    )
-
-    def knots(self, run_steps: int, total: int) -> list[float]:
-        """Environment steps, or levels, of the values.
-
-        Args:
-            run_steps: ``run.steps``, to which fractions refer.
-            total: steps at the end of the run, a whole number of chunks.
-        """
-        begin, end = self.start, self.until
-        if self.by == "steps":
-            begin, end = (
-                float(total) if x == 1 else x if x > 1 else min(x * run_steps, total)
-                for x in (begin, end)
-            )
-        last = len(self.linear) - 1
-        return [begin + (end - begin) * i / last for i in range(last + 1)]
-
-
 Schedules = Mapping[str, Schedule | Sequence[float | Literal["value"]]]
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainResult:
+    """The result of a training run."""
+
+    policy: Callable[[jax.Array], jax.Array]  # observation (..., n) -> mean action (..., k)
+    parameters: ActorCritic  # of the policy and the value; averaged, where the learner averages
+    metrics: dict[str, np.ndarray]  # (updates,) each
+    steps: int  # environment steps done
 
 
 class LearnerSection(Section):
@@ -142,17 +100,109 @@ class LearnerSection(Section):
     def train(
         self,
         environment: Environment,
-        params: object,
+        params: Any,
         steps: int,
         seed: int = 0,
         network: Network | Networks | None = None,
         schedules: Schedules | None = None,
-        progress: Callable[[Mapping[str, float]], None] | None = None,
+        progress: Callable[[Row], None] | None = None,
     ) -> TrainResult:
-        """Train on any environment; see ``quadjax.learners.train.train``."""
-        from quadjax.learners.train import train
+        """Train a policy on an environment, in memory: without a folder or checkpoints.
 
-        return train(self, environment, params, steps, seed, network, schedules, progress)
+        On a CPU, call ``quadjax.learners.parallel.prepare_devices("auto")`` before JAX computes
+        anything, so that a run uses all cores.
+
+        Args:
+            environment: three pure functions of one agent.
+            params: traced parameters of the environment.
+            steps: environment steps of the run, at least; a whole number of updates.
+            seed: of all random numbers.
+            network: hidden layers of policy and value, or networks with functions of the user's;
+                ``normalize``, in units of a race, has no effect.
+            schedules: numbers that change during training: a ``Schedule``, or only its values, by
+                the name of a hyperparameter or the dotted path of a leaf of ``params``, such as
+                ``{"learning_rate": [3e-3, 0.0], "reward.gate": Schedule(linear=(0, 10))}``.
+            progress: called with a row of metrics after every chunk of updates.
+
+        Returns:
+            The policy, its parameters, and the metrics of every update.
+
+        Raises:
+            InputError: a schedule without effect, or a number out of range.
+            NonFiniteError: a metric is not finite.
+        """
+        check_integer("steps", steps, 1, 10**12)
+        check_integer("seed", seed, 0, MAX_SEED)
+        networks = self._networks(environment, network)
+        learner, plan = self._learner(environment, networks, params, steps, schedules or {})
+        state = jax.jit(learner.init)(learner.hyper, params, jax.random.key(seed))
+        mesh = choose_mesh("auto", state)
+        state = place(state, mesh)
+        chunk = compile_chunk(learner, mesh, plan.updates_per_chunk, params, state)
+        history: list[dict[str, np.ndarray]] = []
+        started = time.monotonic()
+        for latest in train_chunks(chunk, params, state, plan):
+            state = latest.state
+            history.append(latest.metrics)
+            if progress is not None:
+                progress({"seconds": time.monotonic() - started} | latest.row)
+        parameters = jax.device_get(state.evaluated)
+        return TrainResult(
+            policy=jax.jit(lambda observation: networks.mean(parameters, observation)),
+            parameters=parameters,
+            metrics={name: np.concatenate([h[name] for h in history]) for name in history[0]},
+            steps=plan.steps,
+        )
+
+    def _networks(self, environment: Environment, network: Network | Networks | None) -> Networks:
+        section = network or Network()
+        if not isinstance(section, Network):
+            return section
+        sizes = environment.observation_size, environment.action_size, section.hidden
+        return Networks(*sizes, section.activation, self.noise_on == "clipped_mean")
+
+    def _learner(
+        self,
+        environment: Environment,
+        networks: Networks,
+        params: Any,
+        steps: int,
+        schedules: Schedules,
+    ) -> tuple[Learner, Plan]:
+        """The learner with its schedules, and the plan of the run."""
+        # Made for one update, to read the steps of an update: the number of updates follows.
+        steps_per_update = self.make(environment, networks, 1).steps_per_update
+        plan = plan_chunks(steps, max(1, steps // CHUNKS), steps_per_update)
+        learner = self.make(environment, networks, plan.updates)
+
+        def numbers_at(key: str, value: float | None) -> tuple[Any, Any]:
+            name = key.removeprefix("learner.")
+            if name in type(self).model_fields:
+                changed = self if value is None else self.replace(**{name: value})
+                return changed.make(environment, networks, plan.updates).hyper, params
+            return learner.hyper, _with_leaf(params, key, value)
+
+        sections = {
+            key: value
+            if isinstance(value, Schedule)
+            else build(Schedule, {"linear": [*value]}, key)
+            for key, value in schedules.items()
+        }
+        return schedule_learner(learner, sections, numbers_at, plan, steps), plan
+
+
+def _with_leaf(params: Any, key: str, value: float | None) -> Any:
+    """The environment's parameters with another value of the leaf at a dotted path."""
+    leaves = dict(jax.tree_util.tree_leaves_with_path(params))
+    paths = {jax.tree_util.keystr(path, simple=True, separator="."): path for path in leaves}
+    if key not in paths:
+        raise InputError(
+            f"schedules: {key} is no hyperparameter and no number of the environment's params"
+            f"{close_match(key, list(paths))}"
+        )
+    if value is not None:
+        leaves[paths[key]] = jnp.full_like(leaves[paths[key]], value)
+    return jax.tree.unflatten(jax.tree.structure(params), leaves.values())
 
 
 def check_divisor(name: str, value: int, total: int, of: str) -> None:

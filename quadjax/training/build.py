@@ -15,9 +15,8 @@ from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.mlp import Layer
 from quadjax.learners.loop import Plan, plan_chunks
-from quadjax.learners.networks import ActorCritic, Networks
 from quadjax.learners.schedules import schedule_learner
-from quadjax.learners.state import Learner, TrainState
+from quadjax.learners.state import ActorCritic, Learner, Networks, TrainState
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
 from quadjax.race.environment import (

@@ -10,8 +10,7 @@ from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.learners.loop import Progress
-from quadjax.learners.networks import ActorCritic
-from quadjax.learners.state import TrainState
+from quadjax.learners.state import ActorCritic, TrainState
 
 # Orbax logs a traceback in every thread for an error that it also raises.
 logging.getLogger("absl").setLevel(logging.CRITICAL)

@@ -5,7 +5,7 @@ from pathlib import Path
 from quadjax.config.checks import at_end
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.learners.section import Schedule
+from quadjax.learners.schedules import Schedule
 from quadjax.policy.file import Policy
 
 FIRST_RATE = 0.3  # of the config's learning rates, at the start

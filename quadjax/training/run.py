@@ -20,9 +20,8 @@ from quadjax.core.folders import claim
 from quadjax.core.interruptions import interruptions
 from quadjax.learners import parallel
 from quadjax.learners.loop import Plan, Row, train_chunks
-from quadjax.learners.networks import ActorCritic
 from quadjax.learners.parallel import Chunk
-from quadjax.learners.state import Learner, TrainState
+from quadjax.learners.state import ActorCritic, Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.race.environment import RaceParams
 from quadjax.race.laps import Laps

@@ -7,7 +7,7 @@ import numpy as np
 
 from quadjax.config.race import choices_of
 from quadjax.config.schema import Config
-from quadjax.learners.networks import ActorCritic
+from quadjax.learners.state import ActorCritic
 from quadjax.policy.inference import act_deterministic, act_sampled
 from quadjax.race.environment import RaceParams
 from quadjax.race.laps import Laps, fly_laps

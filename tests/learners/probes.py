@@ -9,7 +9,7 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.environment import Environment
-from quadjax.learners.networks import Networks
+from quadjax.learners.state import Networks
 
 SIZE = 3  # numbers of an observation
 

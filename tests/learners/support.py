@@ -8,10 +8,9 @@ import numpy as np
 
 from quadjax.core.traced import as_leaves
 from quadjax.learners import parallel
-from quadjax.learners.networks import Networks
-from quadjax.learners.ppo.hyperparameters import PPO
-from quadjax.learners.shac.hyperparameters import SHAC
-from quadjax.learners.state import Learner
+from quadjax.learners.ppo import PPO
+from quadjax.learners.shac import SHAC
+from quadjax.learners.state import Learner, Networks
 from tests.learners.probes import ENVIRONMENT, NETWORKS
 
 UPDATES = 5  # of a chunk

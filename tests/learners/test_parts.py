@@ -10,14 +10,11 @@ import scipy.stats
 
 from quadjax.core.errors import InputError
 from quadjax.learners.loop import plan_chunks
-from quadjax.learners.minibatches import clip, descend, run_epochs
-from quadjax.learners.networks import ActorCritic
 from quadjax.learners.parallel import choose_devices
-from quadjax.learners.ppo.hyperparameters import PPO
-from quadjax.learners.ppo.update import Batch, loss
-from quadjax.learners.rollout import Steps, td_lambda
-from quadjax.learners.shac.hyperparameters import SHAC
-from quadjax.learners.shac.update import total_return
+from quadjax.learners.ppo import PPO, Batch, loss
+from quadjax.learners.rollout import Steps, clip, descend, run_epochs, td_lambda
+from quadjax.learners.shac import SHAC, total_return
+from quadjax.learners.state import ActorCritic
 
 TIME, COUNT = 30, 7
 

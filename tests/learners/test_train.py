@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.learners.networks import ActorCritic
-from quadjax.learners.section import LearnerSection, Network, Schedule
-from quadjax.learners.state import Learner, TrainState
-from quadjax.learners.train import train
+from quadjax.learners.schedules import Schedule
+from quadjax.learners.section import LearnerSection, Network
+from quadjax.learners.state import ActorCritic, Learner, TrainState
 from tests.learners.probes import ENVIRONMENT, observations, probe
 from tests.learners.support import DEFAULTS
 
@@ -106,7 +105,7 @@ class Ascent(LearnerSection):
 
 
 def test_an_own_learner():
-    result = train(Ascent(num_envs=4), ENVIRONMENT, probe(best=1.0), 800, network=NETWORK)
+    result = Ascent(num_envs=4).train(ENVIRONMENT, probe(best=1.0), 800, network=NETWORK)
     assert result.policy(observations())[0] == pytest.approx(0.5, abs=0.05)
     assert result.steps == 800
 

@@ -9,7 +9,7 @@ import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.learners.loop import Progress
-from quadjax.learners.networks import ActorCritic
+from quadjax.learners.state import ActorCritic
 from quadjax.training.checkpoint import Checkpoints, Position
 
 

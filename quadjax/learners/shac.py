@@ -1,8 +1,8 @@
-"""One update of short-horizon actor-critic (Xu et al., 2022).
+"""Short-horizon actor-critic (Xu et al., 2022): its hyperparameters and its update.
 
 1. ``collect_gradient`` simulates all environments over a short horizon, and differentiates their
    discounted return through the simulator.
-2. ``_policy_step`` moves the policy along this gradient.
+2. A step of Adam moves the policy along this gradient, if it is finite.
 3. ``fit_critic`` fits the value to TD(lambda) targets of the same steps.
 
 A target critic and the moving average that is evaluated follow the parameters.
@@ -10,7 +10,7 @@ A target critic and the moving average that is evaluated follow the parameters.
 
 import dataclasses
 import functools
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import jax
 import jax.numpy as jnp
@@ -19,28 +19,104 @@ from jax.sharding import PartitionSpec
 
 from quadjax.core.environment import Environment, vectorize
 from quadjax.core.gradients import Scalar, scale_and_clip_cotangent
+from quadjax.core.sections import Field, Fraction, Positive, Unit, model_validator
 from quadjax.core.traced import as_leaves, register
-from quadjax.learners.minibatches import clip, descend, run_epochs
-from quadjax.learners.networks import ActorCritic, Networks
 from quadjax.learners.parallel import AXIS, SHARED, split_last, sum_over_devices
-from quadjax.learners.rollout import Steps, draw, rollout, step_metrics, td_lambda
-from quadjax.learners.shac.hyperparameters import SHAC
-from quadjax.learners.state import Learner, Metrics, TrainState
+from quadjax.learners.rollout import (
+    Steps,
+    clip,
+    descend,
+    draw,
+    first_state,
+    rollout,
+    run_epochs,
+    step_metrics,
+    td_lambda,
+)
+from quadjax.learners.section import (
+    Count,
+    Discount,
+    LearnerSection,
+    NumEnvs,
+    RewardScale,
+    Warmup,
+    check_divisor,
+)
+from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, TrainState
 
 EMA_FRACTION = 20.0  # the moving average covers about one part in 20 of the updates so far
 
-register(SHAC)
 
+@register
+class SHAC(LearnerSection):
+    """Short-horizon actor-critic (Xu et al., 2022): gradients through the simulator."""
 
-def make_learner(environment: Environment, networks: Networks, hyper: SHAC) -> Learner:
-    """SHAC on a differentiable environment; arguments as of ``SHAC.make``."""
-    batched = vectorize(environment)
-    return Learner(
-        init=functools.partial(_init, batched, networks),
-        update=functools.partial(_update, batched, networks),
-        hyper=as_leaves(hyper),
-        steps_per_update=hyper.num_envs * hyper.horizon,
+    noise_on: ClassVar[Literal["mean", "clipped_mean"]] = "clipped_mean"
+
+    algorithm: Literal["shac"] = Field("shac", description="short-horizon actor-critic")
+    num_envs: NumEnvs = 256
+    horizon: Annotated[int, Unit("steps")] = Field(
+        48,
+        ge=1,
+        le=4096,
+        description="steps of each environment per update, through which gradients flow",
     )
+    learning_rate: Fraction = Field(3e-3, description="step size of the policy's Adam")
+    adam_b1: float = Field(0.7, ge=0, lt=1, description="decay of Adam's first moment")
+    adam_b2: float = Field(0.95, ge=0, lt=1, description="decay of Adam's second moment")
+    max_grad_norm: Positive = Field(
+        1.0, description="the policy's gradient is scaled to at most this global norm"
+    )
+    critic_learning_rate: Fraction = Field(3e-3, description="step size of the critic's Adam")
+    critic_max_grad_norm: Positive = Field(
+        1.0, description="the critic's gradient is scaled to at most this global norm"
+    )
+    critic_epochs: int = Field(
+        4, ge=1, le=1000, description="passes of the critic over the data of an update"
+    )
+    critic_minibatches: Count = Field(4, description="minibatches of the critic per epoch")
+    target_update_rate: Fraction = Field(
+        0.2,
+        description="fraction of the distance that the target critic moves toward the critic per "
+        "update",
+    )
+    td_lambda: Fraction = Field(0.95, description="lambda of the critic's TD targets")
+    discount: Discount = 0.99
+    cotangent_decay: Annotated[Fraction, Unit("decay")] = Field(
+        0.95, description="factor per step on the gradient that flows back through the state"
+    )
+    cotangent_clip: Annotated[Positive, Unit("1/m")] = Field(
+        0.02,
+        description="largest entry of the gradient that flows back through the state, in units of "
+        "the scaled return",
+    )
+    std: float = Field(
+        0.3, gt=0, le=100, description="standard deviation of the action noise (actions: -1 to 1)"
+    )
+    reward_scale: RewardScale = 0.1
+    ema_rate: float = Field(
+        1.0,
+        ge=1e-4,
+        le=1,
+        description="weight of the newest parameters in the exponential moving average that is "
+        "evaluated and saved, per update; 1: no averaging",
+    )
+    critic_warmup: Warmup = 0
+
+    @model_validator(mode="after")
+    def _check_sizes(self) -> Self:
+        check_divisor("critic_minibatches", self.critic_minibatches, self.num_envs, "num_envs")
+        return self
+
+    def make(self, environment: Environment, networks: Networks, num_updates: int) -> Learner:
+        """The learner on a differentiable environment; see ``LearnerSection.make``."""
+        batched = vectorize(environment)
+        return Learner(
+            init=functools.partial(_init, batched, networks),
+            update=functools.partial(_update, batched, networks),
+            hyper=as_leaves(self),
+            steps_per_update=self.num_envs * self.horizon,
+        )
 
 
 def _adam(hyper: SHAC, rate: Scalar) -> optax.GradientTransformation:
@@ -51,17 +127,13 @@ def _adam(hyper: SHAC, rate: Scalar) -> optax.GradientTransformation:
 def _init(
     environment: Environment, networks: Networks, hyper: SHAC, env_params: Any, key: jax.Array
 ) -> TrainState:
-    network_key, reset_key, key = jax.random.split(key, 3)
-    params = networks.init(network_key)
-    params = dataclasses.replace(params, log_std=jnp.full_like(params.log_std, jnp.log(hyper.std)))
-    adam = _adam(hyper, 0.0)
-    return TrainState(
-        params=params,
+    log_std = jnp.log(hyper.std)
+    state = first_state(environment, networks, env_params, key, hyper.num_envs, log_std)
+    params, adam = state.params, _adam(hyper, 0.0)
+    return dataclasses.replace(
+        state,
         optimizer=(adam.init(params.policy), adam.init(params.value)),
         target=jax.tree.map(jnp.copy, params),
-        environment=environment.reset(env_params, jax.random.split(reset_key, hyper.num_envs)),
-        key=key,
-        update=jnp.zeros((), jnp.int32),
         ema=jax.tree.map(jnp.copy, params),
     )
 
@@ -69,11 +141,14 @@ def _init(
 def _update(
     environment: Environment, networks: Networks, hyper: SHAC, env_params: Any, state: TrainState
 ) -> tuple[TrainState, Metrics]:
+    """One update; while the critic warms up, the policy stays and Adam's moments are updated."""
     key, rollout_key, shuffle_key = jax.random.split(state.key, 3)
     loss, gradient, environment_state, steps = collect_gradient(
         environment, networks, hyper, env_params, state, rollout_key
     )
-    policy, policy_optimizer, policy_metrics = _policy_step(hyper, state, gradient)
+    rate = jnp.where(state.update < hyper.critic_warmup, 0.0, hyper.learning_rate)
+    carry, clipped = (state.params.policy, state.optimizer[0]), clip(gradient, hyper.max_grad_norm)
+    (policy, policy_optimizer), skipped = descend(_adam(hyper, rate), clipped, carry)
     value, value_optimizer, critic_metrics = fit_critic(networks, hyper, state, steps, shuffle_key)
     log_std = jnp.full_like(state.params.log_std, jnp.log(hyper.std))
     params = ActorCritic(policy=policy, log_std=log_std, value=value)
@@ -87,8 +162,14 @@ def _update(
         update=state.update + 1,
         ema=_moving_average(hyper, state, params),
     )
-    metrics = {"policy_loss": loss, "std": jnp.asarray(hyper.std)}
-    return following, metrics | policy_metrics | critic_metrics
+    return following, {
+        "policy_loss": loss,
+        "std": jnp.asarray(hyper.std),
+        "gradient_norm": optax.tree.norm(gradient),
+        "skipped": skipped,
+        "learning_rate": jnp.asarray(hyper.learning_rate),
+        **critic_metrics,
+    }
 
 
 def collect_gradient(
@@ -110,16 +191,9 @@ def collect_gradient(
     shape = (hyper.horizon, hyper.num_envs, networks.action_size)
     fresh, noise = draw(environment, env_params, key, shape)
 
-    def differentiate(
-        hyper: SHAC,
-        env_params: Any,
-        params: ActorCritic,
-        target: ActorCritic,
-        state: Any,
-        fresh: Any,
-        noise: jax.Array,
-    ) -> tuple[Any, Any]:
+    def differentiate(shared: Any, states: Any, noise: jax.Array) -> tuple[Any, Any]:
         """The sums over environments of loss and gradient; states and steps."""
+        (hyper, env_params, params, target), (state, fresh) = shared, states
 
         def through(state: Any) -> Any:
             return scale_and_clip_cotangent(state, hyper.cotangent_decay, hyper.cotangent_clip)
@@ -135,10 +209,10 @@ def collect_gradient(
         return (value, gradient), rest
 
     split, time_first = split_last(state.environment), PartitionSpec(None, AXIS)
-    specs = (SHARED, SHARED, SHARED, SHARED, split, split, time_first)
-    gradient_of = sum_over_devices(differentiate, specs, (split, time_first))
-    sums, (environment_state, steps) = gradient_of(
-        hyper, env_params, state.params, state.target, state.environment, fresh, hyper.std * noise
+    specs, results = (SHARED, (split, split), time_first), (split, time_first)
+    shared = (hyper, env_params, state.params, state.target)
+    sums, (environment_state, steps) = sum_over_devices(differentiate, specs, results)(
+        shared, (state.environment, fresh), hyper.std * noise
     )
     loss, gradient = optax.tree.scale(1.0 / (hyper.num_envs * hyper.horizon), sums)
     return loss, gradient, environment_state, steps
@@ -162,28 +236,6 @@ def total_return(steps: Steps, hyper: SHAC) -> jax.Array:
     (gamma, total), _ = jax.lax.scan(one, (ones, jnp.zeros_like(ones)), steps)
     done = steps.terminated[-1] | steps.truncated[-1]
     return jnp.sum(total + jnp.where(done, 0.0, gamma * steps.next_value[-1]))
-
-
-def _policy_step(
-    hyper: SHAC, state: TrainState, gradient: Any
-) -> tuple[Any, optax.OptState, Metrics]:
-    """One step of Adam on the policy; a gradient that is not finite changes nothing.
-
-    While the critic warms up the policy stays as it is, and Adam's moments are updated.
-    """
-    rate = jnp.where(state.update < hyper.critic_warmup, 0.0, hyper.learning_rate)
-    carry = (state.params.policy, state.optimizer[0])
-    clipped = clip(gradient, hyper.max_grad_norm)
-    (policy, optimizer), skipped = descend(_adam(hyper, rate), clipped, carry)
-    return (
-        policy,
-        optimizer,
-        {
-            "gradient_norm": optax.tree.norm(gradient),
-            "skipped": skipped,
-            "learning_rate": jnp.asarray(hyper.learning_rate),
-        },
-    )
 
 
 def fit_critic(

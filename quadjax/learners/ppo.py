@@ -1,4 +1,4 @@
-"""One update of proximal policy optimization (Schulman et al., 2017).
+"""Proximal policy optimization (Schulman et al., 2017): its hyperparameters and its update.
 
 1. ``collect`` simulates all environments with sampled actions.
 2. ``td_lambda`` computes the targets of the value; the advantage is target minus value.
@@ -11,7 +11,7 @@ Of ``hyper``, a ``PPO``, floats are arrays here; ints, flags and None are static
 
 import dataclasses
 import functools
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import jax
 import jax.numpy as jnp
@@ -19,46 +19,106 @@ import optax
 from flax import struct
 
 from quadjax.core.environment import Environment, vectorize
+from quadjax.core.sections import Field, Fraction, Positive, Unit, model_validator
 from quadjax.core.traced import as_leaves, register
-from quadjax.learners.minibatches import clip, descend, run_epochs
-from quadjax.learners.networks import ActorCritic, Networks
-from quadjax.learners.ppo.hyperparameters import PPO
-from quadjax.learners.rollout import Steps, draw, rollout, step_metrics, td_lambda
-from quadjax.learners.state import Learner, Metrics, TrainState
+from quadjax.learners.rollout import (
+    Steps,
+    clip,
+    descend,
+    draw,
+    first_state,
+    rollout,
+    run_epochs,
+    step_metrics,
+    td_lambda,
+)
+from quadjax.learners.section import (
+    Count,
+    Discount,
+    LearnerSection,
+    NumEnvs,
+    RewardScale,
+    Warmup,
+    check_divisor,
+)
+from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, TrainState
 
 MAX_RESET_INTERVAL = 64  # steps between two draws of the states that episodes restart from
 Carry = tuple[ActorCritic, optax.OptState]
 
-register(PPO)
 
+@register
+class PPO(LearnerSection):
+    """Proximal policy optimization (Schulman et al., 2017)."""
 
-def make_learner(environment: Environment, networks: Networks, hyper: PPO) -> Learner:
-    """PPO on an environment; arguments as of ``PPO.make``."""
-    batched = vectorize(environment)
-    return Learner(
-        init=functools.partial(_init, batched, networks),
-        update=functools.partial(_update, batched, networks),
-        hyper=as_leaves(hyper),
-        steps_per_update=hyper.num_envs * hyper.rollout_length,
+    algorithm: Literal["ppo"] = Field("ppo", description="proximal policy optimization")
+    num_envs: NumEnvs = 1024
+    rollout_length: Annotated[Count, Unit("steps")] = Field(
+        64, description="steps of each environment per update"
     )
+    num_minibatches: Count = Field(8, description="minibatches per epoch")
+    num_epochs: int = Field(5, ge=1, le=1000, description="passes over the data of an update")
+    shuffle_block: Count | None = Field(
+        None,
+        description="consecutive steps of an environment that stay together when minibatches are "
+        "drawn; null: all steps of an update",
+    )
+    learning_rate: Fraction = Field(7e-4, description="step size of Adam")
+    adam_epsilon: float = Field(1e-5, gt=0, le=1, description="epsilon of Adam")
+    discount: Discount = 0.99
+    gae_lambda: Fraction = Field(0.95, description="lambda of generalized advantage estimation")
+    clip_range: float = Field(
+        0.2, gt=0, le=100, description="the probability ratio is clipped to 1 +- clip_range"
+    )
+    value_coefficient: float = Field(0.5, ge=0, le=1e6, description="weight of the value loss")
+    entropy_coefficient: float = Field(0.0, ge=0, le=1e6, description="weight of the entropy bonus")
+    max_grad_norm: Positive = Field(
+        0.5, description="gradients are scaled to at most this global norm"
+    )
+    separate_grad_clip: bool = Field(
+        True,
+        description="clip the gradients of policy and value each by its own norm; false: by their "
+        "common norm",
+    )
+    max_kl: Positive | None = Field(
+        0.03,
+        description="a minibatch whose estimated KL divergence from the policy before the update "
+        "is larger is skipped; null: none is",
+    )
+    reward_scale: RewardScale = 1.0
+    critic_warmup: Warmup = 0
+    initial_log_std: float = Field(
+        0.0,
+        ge=-20,
+        le=5,
+        description="initial logarithm of the standard deviation of the action noise",
+    )
+
+    @model_validator(mode="after")
+    def _check_sizes(self) -> Self:
+        block = self.shuffle_block or self.rollout_length
+        blocks = self.num_envs * (self.rollout_length // block)
+        check_divisor("shuffle_block", block, self.rollout_length, "rollout_length")
+        check_divisor("num_minibatches", self.num_minibatches, blocks, "blocks of an update")
+        return self
+
+    def make(self, environment: Environment, networks: Networks, num_updates: int) -> Learner:
+        """The learner on an environment; see ``LearnerSection.make``."""
+        batched = vectorize(environment)
+        return Learner(
+            init=functools.partial(_init, batched, networks),
+            update=functools.partial(_update, batched, networks),
+            hyper=as_leaves(self),
+            steps_per_update=self.num_envs * self.rollout_length,
+        )
 
 
 def _init(
     environment: Environment, networks: Networks, hyper: PPO, env_params: Any, key: jax.Array
 ) -> TrainState:
-    network_key, reset_key, key = jax.random.split(key, 3)
-    params = networks.init(network_key)
-    params = dataclasses.replace(
-        params, log_std=jnp.full_like(params.log_std, hyper.initial_log_std)
-    )
-    return TrainState(
-        params=params,
-        optimizer=_optimizer(hyper).init(params),
-        target=None,
-        environment=environment.reset(env_params, jax.random.split(reset_key, hyper.num_envs)),
-        key=key,
-        update=jnp.zeros((), jnp.int32),
-    )
+    log_std = hyper.initial_log_std
+    state = first_state(environment, networks, env_params, key, hyper.num_envs, log_std)
+    return dataclasses.replace(state, optimizer=_optimizer(hyper).init(state.params))
 
 
 def _update(
@@ -134,14 +194,7 @@ def collect(
         fresh, noise = draw(environment, env_params, key, shape)
         scaled = jnp.broadcast_to(jnp.exp(params.log_std), shape) * noise
         state, steps = rollout(
-            environment,
-            networks,
-            env_params,
-            params=params,
-            critic=params,
-            state=state,
-            fresh=fresh,
-            noise=scaled,
+            environment, networks, env_params, params, params, state, fresh, scaled
         )
         # The density of an action about its mean is that of its noise about zero.
         return state, (steps, log_probability(scaled, jnp.zeros(shape), params.log_std))

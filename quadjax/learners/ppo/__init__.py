@@ -1,1 +1,0 @@
-"""Proximal policy optimization (Schulman et al., 2017)."""
