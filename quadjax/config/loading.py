@@ -34,6 +34,7 @@ WORDS = re.compile(r" +(?=\+|[\w.]+=)")  # between a preset, its parts and overr
 RETIRED: dict[str, tuple[float, ...] | None] = {
     "learner.revisit": (0.0,),
     "randomization.tracks.drawn_by": None,
+    "randomization.tracks.split_s": (0.0,),
     "run.shards": None,
 }
 

@@ -21,7 +21,6 @@ ATTEMPTS, ROUNDS = 40, 600
 FAR = 1e6  # m, no largest distance
 SLACK = 0.03  # m and fraction by which drawn values are inside the allowed ones
 DEPTH = 0.2  # m, room for the depth of two frames
-BETWEEN = 0.3  # m between the frames of two gates that are one above the other
 ACROSS = 85.0  # deg, largest angle between a leg and the direction of its gate
 MARGIN = 5.0  # m from the outermost gate to the position limit
 
@@ -60,17 +59,6 @@ class RandomTrack(Section):
     frame: float = Field(
         0.3, ge=0, le=10, description="width of the frames, which do not touch each other, m"
     )
-    split_s: float = Field(
-        0.0,
-        ge=0,
-        le=0.5,
-        description="share of gates that have the next gate below them, in opposite direction",
-    )
-
-    @property
-    def pairs(self) -> int:
-        """The number of gates with the next gate below them."""
-        return round(self.split_s * self.gates)
 
     @model_validator(mode="after")
     def _check(self) -> "RandomTrack":
@@ -93,16 +81,6 @@ class RandomTrack(Section):
             raise ValueError(
                 f"leg is {list(self.leg)}, allowed: a longest of at least {outer[0] + DEPTH:g}, the"
                 " width of a gate with its frame"
-            )
-        if self.pairs and high - low < outer[1] + BETWEEN:
-            raise ValueError(
-                f"height is {[low, high]}, allowed with split_s: a range of at least "
-                f"{outer[1] + BETWEEN:g} m, for two gates one above the other"
-            )
-        if 2 * self.pairs > self.gates - self.pairs or self.gates - self.pairs < 3:
-            raise ValueError(
-                f"split_s is {self.split_s:g}, allowed with {self.gates} gates: fewer, so that at "
-                "least three places remain, every other one with two gates"
             )
         return self
 
@@ -130,10 +108,10 @@ def generate(track: RandomTrack) -> Tree:
     """
     rng = np.random.default_rng(track.seed)
     for _ in range(ATTEMPTS):
-        double = _doubled(rng, track)
-        places = np.round(_solve(rng, track, double), 2)
-        if _allowed(track, places, double):
-            gates = _gates(rng, track, places, double)
+        rng.integers(track.gates)  # unused; without it a seed would have another track
+        places = np.round(_solve(rng, track), 2)
+        if _allowed(track, places):
+            gates = _gates(rng, track, places)
             limit = float(np.ceil(np.abs(places).max() + MARGIN))
             return {"gates": gates, "rules": {"position_limit": limit}}
     raise InputError(
@@ -143,32 +121,20 @@ def generate(track: RandomTrack) -> Tree:
     )
 
 
-def _doubled(rng: np.random.Generator, track: RandomTrack) -> np.ndarray:
-    """Which places (n,) have two gates; no two following ones."""
-    count = track.gates - track.pairs
-    gaps = np.ones(track.pairs, int)  # places without a pair after each place with one
-    rest = count - 2 * track.pairs
-    if track.pairs:
-        gaps += rng.multinomial(rest, np.full(track.pairs, 1.0 / track.pairs))
-    double = np.zeros(count, bool)
-    double[np.cumsum(gaps + 1) - gaps - 1] = track.pairs > 0
-    return np.roll(double, rng.integers(count))
-
-
-def _solve(rng: np.random.Generator, track: RandomTrack, double: np.ndarray) -> np.ndarray:
+def _solve(rng: np.random.Generator, track: RandomTrack) -> np.ndarray:
     """Places (n, 2) whose distances are near the allowed ones."""
-    count, (short, long) = len(double), track.leg
+    count, (short, long) = track.gates, track.leg
     shortest = max(short, _room(track))
     if track.leg_ratio is not None and long > track.leg_ratio * shortest:
         shortest *= (long / track.leg_ratio / shortest) ** rng.uniform()
         long = track.leg_ratio * shortest
     inside = min(SLACK, 0.25 * (long - shortest))
     legs = rng.uniform(shortest + inside, max(long - inside, shortest + inside), count)
-    turns = rng.uniform(-track.turn_deg, track.turn_deg, count) + 180.0 * double
+    turns = rng.uniform(-track.turn_deg, track.turn_deg, count)
     heading = np.radians(np.cumsum(turns))
     steps = legs[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     places = np.cumsum(steps - steps.mean(axis=0), axis=0)
-    low, high = _distances(track, legs, double)
+    low, high = _distances(track, legs)
     for _ in range(ROUNDS):
         apart = places[:, None] - places[None]
         distance = np.sqrt((apart**2).sum(axis=2)) + 1e-9
@@ -187,41 +153,35 @@ def _room(track: RandomTrack) -> float:
     return track.size[0] + 2.0 * track.frame + DEPTH
 
 
-def _distances(
-    track: RandomTrack, legs: np.ndarray, double: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _distances(track: RandomTrack, legs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest distance (n, n) of each two places, m; ``legs`` lead to each place."""
     count, turn = len(legs), math.radians(track.turn_deg) * (1.0 - SLACK)
     low, high = np.full((count, count), _room(track) + SLACK), np.full((count, count), FAR)
     for index in range(count):
         before, after = index - 1, (index + 1) % count
         come, go = legs[index], legs[after]
-        angle = np.pi - turn if double[index] else turn
-        across = math.sqrt(come**2 + go**2 + 2.0 * come * go * math.cos(angle))
-        if double[index]:
-            high[before, after] = high[after, before] = max(across, low[before, after])
-        else:
-            low[before, after] = low[after, before] = max(across, low[before, after])
+        across = math.sqrt(come**2 + go**2 + 2.0 * come * go * math.cos(turn))
+        low[before, after] = low[after, before] = max(across, low[before, after])
     for index in range(count):  # after the turns: of three places, every two follow each other
         for bound in (low, high):
             bound[index - 1, index] = bound[index, index - 1] = legs[index]
     return low, high
 
 
-def _turns(places: np.ndarray, double: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _turns(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Heading (n,) of the leg to each place and the turn (n,) there, rad, within half a turn."""
     legs = places - np.roll(places, 1, axis=0)
     heading = np.arctan2(legs[:, 1], legs[:, 0])
-    turn = np.roll(heading, -1) - heading + np.pi * double
+    turn = np.roll(heading, -1) - heading
     return heading, (turn + np.pi) % (2.0 * np.pi) - np.pi
 
 
-def _allowed(track: RandomTrack, places: np.ndarray, double: np.ndarray) -> bool:
+def _allowed(track: RandomTrack, places: np.ndarray) -> bool:
     """Whether places (n, 2) are a track."""
     distance = np.linalg.norm(places[:, None] - places[None], axis=2)
     legs = np.linalg.norm(places - np.roll(places, 1, axis=0), axis=1)
     others = distance[~np.eye(len(places), dtype=bool)]
-    _, turn = _turns(places, double)
+    _, turn = _turns(places)
     return bool(
         np.all((legs >= track.leg[0]) & (legs <= track.leg[1]))
         and np.all(others >= _room(track))
@@ -229,30 +189,21 @@ def _allowed(track: RandomTrack, places: np.ndarray, double: np.ndarray) -> bool
     )
 
 
-def _gates(
-    rng: np.random.Generator, track: RandomTrack, places: np.ndarray, double: np.ndarray
-) -> list[Tree]:
+def _gates(rng: np.random.Generator, track: RandomTrack, places: np.ndarray) -> list[Tree]:
     """The gates of places (n, 2): halfway between the headings before and after."""
-    heading, turn = _turns(places, double)
-    low, high = track.height
-    below = track.size[1] + 2.0 * track.frame + BETWEEN
+    heading, turn = _turns(places)
     gates = []
-    axes = heading + 0.5 * turn
-    for (x, y), yaw, bend, two in zip(places, axes, turn, double, strict=True):
-        heights = [rng.uniform(low, high)]
-        if two:
-            lower = rng.uniform(low, high - below)
-            heights = [rng.uniform(lower + below, high), lower]
+    for (x, y), yaw, bend in zip(places, heading + 0.5 * turn, turn, strict=True):
+        height = rng.uniform(*track.height)
         if track.yaw_deg:
             largest = min(track.yaw_deg, max(0.0, ACROSS - abs(math.degrees(0.5 * bend))))
             yaw += math.radians(rng.uniform(-largest, largest))
-        for index, height in enumerate(heights):
-            angle = (math.degrees(yaw) + 180.0 * index + 180.0) % 360.0 - 180.0
-            gates.append(
-                {
-                    "position": [float(x), float(y), -round(float(height), 2)],
-                    "yaw_deg": round(angle, 1) + 0.0,  # without the sign of zero
-                    "size": list(track.size),
-                }
-            )
+        angle = (math.degrees(yaw) + 180.0) % 360.0 - 180.0
+        gates.append(
+            {
+                "position": [float(x), float(y), -round(float(height), 2)],
+                "yaw_deg": round(angle, 1) + 0.0,  # without the sign of zero
+                "size": list(track.size),
+            }
+        )
     return gates

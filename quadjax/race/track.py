@@ -71,7 +71,7 @@ class TrackSection(Section):
     generate: RandomTrack | None = Field(
         None,
         description="random track in place of gates: {seed, gates, leg, leg_ratio, turn_deg, "
-        "yaw_deg, height, size, frame, split_s}; loading writes its gates into the config and sets "
+        "yaw_deg, height, size, frame}; loading writes its gates into the config and sets "
         "this to null",
     )
     name: str = Field("", description="name of the track, for tables and figures")

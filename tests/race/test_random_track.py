@@ -14,7 +14,6 @@ SETTINGS = [
     {},
     {"gates": 4, "turn_deg": 100, "leg": [2.5, 4]},
     {"gates": 25, "height": [1.05, 6], "frame": 0.2, "size": [1.2, 1.0]},
-    {"gates": 12, "split_s": 0.25, "height": [1.2, 5]},
     {"gates": 10, "turn_deg": 60, "leg": [4, 12]},
     {"leg": [2, 12], "leg_ratio": 3, "yaw_deg": 45, "turn_deg": 130, "size": [1, 1]},
 ]
@@ -63,29 +62,18 @@ def test_a_random_track_keeps_to_its_settings(settings):
         plates = [rectangle(gate, frame) for gate in gates]
         assert all(separated(a, b, 0.2) for a, b in itertools.combinations(plates, 2))
         assert all(corners[:, 2].max() <= 1e-6 for corners, _ in plates)  # above ground
-        below = [
-            np.allclose(a[:2], b[:2]) for a, b in zip(places, np.roll(places, -1, 0), strict=True)
-        ]
-        assert sum(below) == round(settings.get("split_s", 0) * len(gates))
-        for index in np.flatnonzero(below):
-            after = (index + 1) % len(gates)
-            assert places[index, 2] < places[after, 2] - 1.0
-            turned = (gates[after].yaw_deg - gates[index].yaw_deg) % 360
-            assert turned == pytest.approx(180, abs=0.11)
-        _check_legs(settings, gates, places, np.array(below))
+        _check_legs(settings, gates, places)
 
 
-def _check_legs(settings, gates, places, below):
+def _check_legs(settings, gates, places):
     """Lengths and turns, and that a drone meets each gate from behind it."""
-    kept = places[~np.roll(below, 1)][:, :2]  # without the lower gate of a pair
-    upper = below[~np.roll(below, 1)]
-    yaw = np.radians([gate.yaw_deg for gate in gates])[~np.roll(below, 1)]
-    legs = kept - np.roll(kept, 1, axis=0)
+    yaw = np.radians([gate.yaw_deg for gate in gates])
+    legs = places[:, :2] - np.roll(places[:, :2], 1, axis=0)
     length = np.linalg.norm(legs, axis=1)
     short, long = settings.get("leg", [3, 8])
     assert np.all((length >= short - 1e-6) & (length <= long + 1e-6))
     unit = legs / length[:, None]
-    cosine = np.sum(unit * np.roll(unit, -1, axis=0), axis=1) * np.where(upper, -1, 1)
+    cosine = np.sum(unit * np.roll(unit, -1, axis=0), axis=1)
     limit = np.radians(settings.get("turn_deg", 120))
     assert np.all(np.arccos(np.clip(cosine, -1, 1)) <= limit + 1e-6)
     through = np.sum(unit * np.stack([np.cos(yaw), np.sin(yaw)], axis=1), axis=1)
@@ -93,7 +81,7 @@ def _check_legs(settings, gates, places, below):
     most = min(0.5 * limit + aside, max(0.5 * limit, np.radians(85)))
     assert np.all(through >= np.cos(most) - 0.01)
     assert length.max() <= settings.get("leg_ratio", np.inf) * length.min() + 1e-6
-    mean = np.arctan2(*(unit + np.roll(unit, -1, axis=0) * np.where(upper, -1, 1)[:, None]).T[::-1])
+    mean = np.arctan2(*(unit + np.roll(unit, -1, axis=0)).T[::-1])
     off = np.abs((yaw - mean + np.pi) % (2 * np.pi) - np.pi)
     assert np.all(off <= aside + 0.01) and (off.max() > 0.1) == (aside > 0)
 
@@ -128,11 +116,6 @@ IMPOSSIBLE = (
     (["track.generate.leg=[1, 2]"], "leg is [1.0, 2.0], allowed: a longest of at least 2.3"),
     (["track.generate.leg_ratio=3"], "leg_ratio is 3, allowed with leg [3.0, 8.0]: less than"),
     (["track.generate.height=[1, 2]"], "height is [1.0, 2.0], allowed: at least 1.05"),
-    (["track.generate.split_s=0.2"], "allowed with split_s: a range of at least 2.4 m"),
-    (
-        ["track.generate={split_s: 0.4, height: [1.2, 5]}"],
-        "split_s is 0.4, allowed with 8 gates: fewer",
-    ),
     (["track.generate.turn_deg=20"], "found no track with gates 8, leg [3.0, 8.0] and turn_d"),
     (["track.generate.seed=1", "track.closed=false"], "track.closed has no effect"),
     (["track=square4", "track.generate.seed=1"], "track.gates has no effect"),
