@@ -13,8 +13,8 @@ from scipy.optimize import minimize_scalar
 
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import gusts, indi, plant
-from quadjax.plant.build import build_plant, nominal_vehicle
 from quadjax.plant.config import PlantConfig, load_plant_config, without_effects
+from quadjax.plant.plant import build_plant, nominal_vehicle
 from quadjax.vehicle.motor import hover_rpm
 from quadjax.vehicle.protocol import Measurement
 from quadjax.vehicle.rate import RateCommand

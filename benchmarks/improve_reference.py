@@ -20,7 +20,7 @@ from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.report import write_results
 from quadjax.improve import CHECK_SEED, Round, Setting, fly_and_log, fly_checks, tune
 from quadjax.plant import config as plants
-from quadjax.plant.build import drawn_factors, nominal_vehicle
+from quadjax.plant.plant import drawn_factors, nominal_vehicle
 from quadjax.refit import Model
 from quadjax.vehicle.battery import BatteryConfig
 from quadjax.vehicle.constants import constant_names

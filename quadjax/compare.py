@@ -21,7 +21,7 @@ from quadjax.evaluation.rows import Row, common, crash_counts, interval
 from quadjax.evaluation.table import Table, interval_text, lap_table
 from quadjax.flights.flight import Flight
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.races import race_config
+from quadjax.plant.flights import race_config
 from quadjax.policy.file import Policy
 
 PARTS = ("table", "plants")

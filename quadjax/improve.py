@@ -16,14 +16,13 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, write_json, write_text
 from quadjax.core.markdown import table
+from quadjax.evaluation.plants import write_logs
 from quadjax.fitting.config import FitConfig
 from quadjax.fitting.flight_log import FlightLog, read_log
 from quadjax.fitting.report import PATTERNS as FIT_FILES
 from quadjax.flights.files import save
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.flights import fly_plan
-from quadjax.plant.logs import write_logs
-from quadjax.plant.races import plan_race
+from quadjax.plant.flights import fly_plan, plan_race
 from quadjax.policy.file import Policy
 from quadjax.race.rules import HIT_A_GATE
 from quadjax.refit import Model, changes, check_speeds, margin_of, refit, states_of_logs

@@ -21,13 +21,14 @@ ALLOWED = {
     "fitting": {"core", "vehicle", "flights"},
     "limits": {"core", "vehicle", "race", "config", "policy", "evaluation", "flights"},
     "integrations": CONFIG | {"config", "policy", "training"},
-    "plant": CONFIG - {"learners"} | {"config", "policy", "fitting", "flights"},
+    "plant": CONFIG - {"learners"} | {"config", "policy", "flights"},
     "log_states": {"core", "vehicle", "flights", "fitting"},
     "replay": CONFIG - {"learners"}
     | {"config", "policy", "flights", "evaluation", "fitting", "export", "log_states"},
     # What learns from logs knows nothing of the plant.
     "refit": CONFIG - {"learners"} | {"config", "flights", "fitting", "evaluation", "log_states"},
-    "improve": CONFIG | {"config", "policy", "training", "flights", "fitting", "plant", "refit"},
+    "improve": CONFIG
+    | {"config", "policy", "training", "flights", "fitting", "plant", "refit", "evaluation"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant"},
     "sil": CONFIG - {"learners"}
     | {"config", "policy", "training", "evaluation", "plant", "export", "flights"},
@@ -72,7 +73,7 @@ WITHOUT_CONFIG = (
 # Public functions that also take a preset's name.
 EDGES = {"race_of_policy", "_make", "_make_vector"}
 EDGES |= {"specialize", "outside", "_constants"}  # of the drone of a config
-EDGES |= {"plan_race", "race_config", "plan_logs", "gate_centers"}  # flights of a race on the plant
+EDGES |= {"plan_race", "race_config", "plan_logs"}  # flights of a race on the plant
 
 
 def test_only_the_outer_packages_take_a_whole_config():

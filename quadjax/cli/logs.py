@@ -73,10 +73,10 @@ def logs(
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.core.folders import claim
+        from quadjax.evaluation.plants import write_logs
         from quadjax.fitting import simulate
         from quadjax.plant.config import load_plant_config
-        from quadjax.plant.logs import write_logs
-        from quadjax.plant.races import plan_logs
+        from quadjax.plant.flights import plan_logs
         from quadjax.vehicle.protocol import VehicleParams
         from quadjax.vehicle.residual import read_residual, write_residual
         from quadjax.vehicle.vehicle_file import read_vehicle

@@ -1,16 +1,28 @@
-"""Flights of a policy on the stand-in plant, and on several that are drawn."""
+"""Flights of a policy on the stand-in plant and on several that are drawn, and their logs."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
 
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.evaluation.protocol import Protocol
 from quadjax.evaluation.rows import concatenate
+from quadjax.fitting.columns import paparazzi_columns
+from quadjax.fitting.flight_log import write_log
 from quadjax.flights.flight import MOTORS, Flight, Signal
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.flights import Flights, fly_plan, recorded_flights, rows
-from quadjax.plant.races import plan_race
+from quadjax.plant.flight import Plan
+from quadjax.plant.flights import (
+    Flights,
+    fly_plan,
+    log_quantities,
+    plan_race,
+    recorded_flights,
+    rows,
+)
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
 from quadjax.vehicle.registry import model
@@ -75,3 +87,53 @@ def flights_of(flown: Flights, race: Config, policy: Policy) -> list[Flight]:
         signals = flight.signals | {MOTOR_COMMAND: command}
         result.append(dataclasses.replace(flight, signals=signals))
     return result
+
+
+@dataclasses.dataclass(frozen=True)
+class WrittenLog:
+    """A log that was written."""
+
+    path: Path
+    rows: int
+    crash: str  # reason of an early end, "" for none
+    seconds: float  # of flight
+    total: float  # s of all laps; NaN if it did not finish
+
+
+def write_logs(
+    plans: Mapping[str, Plan],
+    folder: Path,
+    seed: int = 0,
+    report: Callable[[str], None] = lambda line: None,
+) -> list[WrittenLog]:
+    """Simulate flights on the plant and write each flight's log to ``folder/NAME_RUN.csv``.
+
+    Args:
+        plans: flights by name, with a control step at every sample and all runs recorded.
+        folder: of the logs.
+        seed: of batteries, gusts, sensors and the policies' noise.
+        report: called with the progress.
+
+    Raises:
+        InputError: a flight that is not finite; then no log of that name is written.
+    """
+    written: list[WrittenLog] = []
+    for name, plan in plans.items():
+        report(f"{name}: compiling")
+
+        def show(seconds: float, name: str = name) -> None:
+            report(f"{name}: {seconds:.0f} s simulated")
+
+        ended = fly_plan(plan, seed, show)
+        gates = np.stack([np.asarray(x) for x in plan.race.track.position.components()], 1)
+        logs = [log_quantities(ended, run, gates) for run in range(plan.recorded)]
+        for run, log in enumerate(logs):
+            if not all(np.isfinite(values).all() for values in log.values()):
+                raise InputError(f"{name}: flight {run} is not finite")
+        for run, log in enumerate(logs):
+            path = folder / f"{name}_{run}.csv"
+            write_log(path, paparazzi_columns(log))
+            laps = ended.laps
+            result = laps.crashes[run], float(laps.seconds[run]), float(laps.totals[run])
+            written.append(WrittenLog(path, len(log["time"]), *result))
+    return written

@@ -12,12 +12,10 @@ from quadjax.core import quaternion
 from quadjax.core.filters import Scalar
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import ekf, gusts, indi, plant, sensors
-from quadjax.plant.build import nominal_vehicle
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.ekf import EkfState
-from quadjax.plant.ekf_params import EkfParams, ekf_params
+from quadjax.plant.ekf import EkfParams, EkfState, ekf_params
 from quadjax.plant.indi import IndiParams, IndiState
-from quadjax.plant.plant import PlantParams, PlantState
+from quadjax.plant.plant import PlantParams, PlantState, nominal_vehicle
 from quadjax.plant.sensors import GroundTruth, Measured, SensorParams, SensorState
 from quadjax.vehicle import battery, motor
 from quadjax.vehicle import estimator as disturbance

@@ -23,8 +23,7 @@ from quadjax.evaluation.table import counted, lap_table
 from quadjax.export.verify.folder import Inputs, read_inputs
 from quadjax.flights.files import save
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.flights import check_steps
-from quadjax.plant.races import plan_race, race_config
+from quadjax.plant.flights import check_steps, plan_race, race_config
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import fit_race
 from quadjax.race.laps import Laps

@@ -18,7 +18,7 @@ from quadjax.evaluation.result import Evaluations
 from quadjax.evaluation.rows import Row, concatenate
 from quadjax.fitting.signals import first_order
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.races import race_config
+from quadjax.plant.flights import race_config
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
 from tests.commands import run

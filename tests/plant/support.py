@@ -17,8 +17,7 @@ from quadjax.plant.config import (
     RpmConfig,
     SensorsConfig,
 )
-from quadjax.plant.ekf import InertialSample, MotionEstimate
-from quadjax.plant.ekf_params import EkfParams, ekf_params
+from quadjax.plant.ekf import EkfParams, InertialSample, MotionEstimate, ekf_params
 from quadjax.plant.sensors import GroundTruth
 from tests.plant import reference
 from tests.plant.reference import Nominal

@@ -8,9 +8,9 @@ from scipy.signal import periodogram
 
 from quadjax.core.traced import as_leaves
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.plant import effects, gusts, power
-from quadjax.plant.build import build_plant
+from quadjax.plant import effects, gusts
 from quadjax.plant.config import GustsConfig
+from quadjax.plant.plant import build_plant
 from quadjax.vehicle import battery
 from tests import reference as ref
 from tests.plant import effects_reference as source
@@ -25,8 +25,8 @@ def test_motors_answer_in_second_order():
     def one(carry, _):
         w, rate = carry
         u = Rotors.same(jnp.float32(8000.0))
-        target = power.steady_speeds(u, jnp.float32(short), hover, jnp.inf)
-        a, b = power.rotor_rates(jnp.float32(tau), jnp.float32(lag), w, rate, target)
+        target = effects.steady_speeds(u, jnp.float32(short), hover, jnp.inf)
+        a, b = effects.rotor_rates(jnp.float32(tau), jnp.float32(lag), w, rate, target)
         following = (w + a * dt, rate + b * dt)
         return following, following[0].w1
 

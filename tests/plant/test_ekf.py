@@ -8,7 +8,7 @@ from quadjax.core import quaternion
 from quadjax.core.frames import rotation_matrix
 from quadjax.plant import ekf
 from quadjax.plant.config import SensorsConfig
-from quadjax.plant.ekf_params import ekf_params
+from quadjax.plant.ekf import ekf_params
 from quadjax.plant.sensors import Fix
 from tests.plant import reference
 from tests.plant.support import (

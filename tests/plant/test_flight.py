@@ -7,13 +7,20 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS, PRETRAINED
+from quadjax.evaluation.plants import write_logs
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_logs
 from quadjax.plant import flight as onboard_flight
 from quadjax.plant.config import PlantConfig, load_plant_config
-from quadjax.plant.flights import fly_plan, recorded_flights, rows
-from quadjax.plant.logs import log_quantities, write_logs
-from quadjax.plant.races import gate_centers, plan_logs, plan_race, race_config
+from quadjax.plant.flights import (
+    fly_plan,
+    log_quantities,
+    plan_logs,
+    plan_race,
+    race_config,
+    recorded_flights,
+    rows,
+)
 from quadjax.policy.file import Policy
 from quadjax.training.build import untrained_policy
 from quadjax.vehicle.registry import MODELS
@@ -86,11 +93,12 @@ def test_logs_are_written_by_policy_and_the_fit_reads_them(indi, tmp_path):
 @pytest.mark.slow
 def test_logged_positions_are_the_estimated_ones(indi):
     race, flights = indi
-    log = log_quantities(flights, 0, gate_centers(race))
+    gates = np.array([gate.position for gate in race.track.gates])
+    log = log_quantities(flights, 0, gates)
     np.testing.assert_array_equal(
         log["position"], rows(flights, flights.frames.estimated.position, 0)
     )
-    np.testing.assert_allclose(log["target_gate"][0], gate_centers(race)[0])
+    np.testing.assert_allclose(log["target_gate"][0], gates[0])
 
 
 def test_the_race_is_the_policys_own():
@@ -136,7 +144,7 @@ def test_plant_logs_prints_its_progress_before_the_first_log(tmp_path, monkeypat
     def stop(*_):
         raise InputError("stopped")
 
-    monkeypatch.setattr("quadjax.plant.logs.fly_plan", stop)
+    monkeypatch.setattr("quadjax.evaluation.plants.fly_plan", stop)
     place = ("--policy", "e2e_nominal", "--output", tmp_path / "logs")
     assert run("logs", "standin", *place) == 2
     assert capsys.readouterr().err == "e2e_nominal: compiling\nerror: stopped\n"

@@ -12,8 +12,8 @@ from quadjax.core.frames import wrap_angle
 from quadjax.core.integrators import euler_step
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts, plant
-from quadjax.plant.build import build_plant, drawn_factors
 from quadjax.plant.config import PlantConfig, load_plant_config
+from quadjax.plant.plant import build_plant, drawn_factors
 from quadjax.vehicle import motor
 from tests import reference as ref
 from tests.convert import command_of, rotors, rows_of, state_of, vec3
