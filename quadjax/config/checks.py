@@ -74,7 +74,9 @@ def _check_schedules(config: Config) -> None:
         try:
             value = value_at(config, key, missing=None)
         except InputError as error:
-            raise BadValue(f"schedules.{key}", f"schedules: {error}") from None
+            learner = f" with learner.algorithm={config.learner.algorithm}"
+            where = f"schedules{learner if key.startswith('learner.') else ''}"
+            raise BadValue(f"schedules.{key}", f"{where}: {error}") from None
         if not isinstance(value, float):
             refuse(f"schedules.{key}", value, "the key of a number")
         _check_times(f"schedules.{key}", config.run.steps, schedule)

@@ -13,6 +13,7 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.representer import RoundTripRepresenter
 
 from quadjax.core.errors import InputError, prefixed, short
@@ -235,12 +236,21 @@ def to_yaml(tree: Mapping[str, object], comments: Mapping[str, str] | None = Non
 
 
 class _Representer(RoundTripRepresenter):
-    """Writes ``null`` for None."""
+    """Writes ``null`` for None, and ``1.0e-05``: YAML 1.1 reads ``1e-05`` as text."""
 
 
 _Representer.add_representer(
     type(None), lambda writer, _: writer.represent_scalar("tag:yaml.org,2002:null", "null")
 )
+
+
+def _represent_float(writer: RoundTripRepresenter, number: float) -> ScalarNode:
+    node = writer.represent_float(number)
+    node.value = re.sub(r"^(-?\d+)e", r"\1.0e", node.value)
+    return node
+
+
+_Representer.add_representer(float, _represent_float)
 
 
 def _block(tree: Mapping[str, object], prefix: str, comments: Mapping[str, str]) -> CommentedMap:

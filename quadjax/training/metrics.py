@@ -21,7 +21,11 @@ class MetricsFile:
         """
         self._path = folder / "metrics.csv"
         self._rows = [row for row in saved_rows(self._path) if row["steps"] <= steps]
-        self._events = _event_writer(folder) if tensorboard else None
+        self._events: Any = None
+        if tensorboard:
+            from tensorboardX import SummaryWriter
+
+            self._events = SummaryWriter(str(folder / "tensorboard"))
 
     def write(self, row: Row) -> None:
         """Add a row."""
@@ -47,12 +51,6 @@ def check_tensorboard() -> None:
             "run.tensorboard is true, but tensorboardX is not installed: "
             "pip install 'quadjax[tensorboard]'"
         ) from None
-
-
-def _event_writer(folder: Path) -> Any:
-    from tensorboardX import SummaryWriter
-
-    return SummaryWriter(str(folder / "tensorboard"))
 
 
 def saved_rows(path: Path) -> list[Row]:
@@ -85,17 +83,16 @@ def _read_rows(path: Path | str) -> list[Row]:
     names, *lines = [line.split(",") for line in read_text(path).splitlines()] or [[]]
     if lines and len(lines[-1]) < len(names):
         lines.pop()
-    return [_row(f"{path} line {line}", names, cells) for line, cells in enumerate(lines, 2)]
-
-
-def _row(where: str, names: list[str], cells: list[str]) -> Row:
-    if len(cells) != len(names):
-        raise InputError(f"{where}: {len(cells)} cells, expected {len(names)}")
-    return {name: _number(where, name, cell) for name, cell in zip(names, cells, strict=True)}
-
-
-def _number(where: str, name: str, cell: str) -> float:
-    try:
-        return float(cell.strip() or "nan")
-    except ValueError:
-        raise InputError(f"{where}: {name!r} is {cell.strip()!r}, expected a number") from None
+    rows: list[Row] = []
+    for line, cells in enumerate(lines, 2):
+        if len(cells) != len(names):
+            raise InputError(f"{path} line {line}: {len(cells)} cells, expected {len(names)}")
+        rows.append({})
+        for name, cell in zip(names, map(str.strip, cells), strict=True):
+            try:
+                rows[-1][name] = float(cell or "nan")
+            except ValueError:
+                raise InputError(
+                    f"{path} line {line}: {name!r} is {cell!r}, expected a number"
+                ) from None
+    return rows

@@ -479,3 +479,9 @@ def test_a_former_key_is_read_from_a_file_and_refused_as_an_override(tmp_path):
     assert load_config(path).learner == load_config("e2e").learner
     with pytest.raises(InputError, match="unknown key run.shards"):
         load_config("e2e", ["run.shards=4"])
+
+
+def test_a_part_for_another_learner_names_the_algorithm():
+    expected = r"schedules with learner\.algorithm=ppo: learner\.std: unknown key"
+    with pytest.raises(InputError, match=expected):
+        load_config("e2e_ppo", ["+gate_edge"])

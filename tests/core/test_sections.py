@@ -6,6 +6,7 @@ import sys
 from typing import Annotated, Literal
 
 import pytest
+import yaml
 
 from quadjax.config.reference import describe
 from quadjax.core.errors import InputError
@@ -222,3 +223,11 @@ def test_describe_lists_every_key():
 def test_config_imports_no_jax():
     code = "import sys, quadjax.core.sections; sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_small_numbers_are_numbers_in_yaml_1_1_too():
+    """YAML 1.1 reads 1e-05, without a point, as text."""
+    numbers = [1e-05, -2e-07, 2.5e-06, 1e20, 0.5]
+    text = to_yaml({"k": 1e-05, "list": numbers})
+    assert "k: 1.0e-05" in text
+    assert yaml.safe_load(text) == {"k": 1e-05, "list": numbers} == parse_yaml(text, "text")
