@@ -6,6 +6,5 @@ functions of a ``Step``, ``TERMINATIONS`` and ``REWARDS``; ``layout`` what a ``F
 observation is (its value and its scale), how a layout of fields gives the inputs of a network, and
 the history; ``observations`` the table ``OBSERVATIONS`` of fields; ``environment`` simulates a step
 and calls them. These seven are the race. Next to them, ``starts`` and ``episode`` say how an
-episode begins, ``laps`` times laps by the exact rules, and ``random_track`` and
-``recorded_starts`` make tracks and starts.
+episode begins, ``laps`` times laps by the exact rules, and ``random_track`` makes tracks.
 """

@@ -13,7 +13,7 @@ from quadjax.core.frames import wrap_angle
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.layout import LAST_ACTION, begin_past, split_name
-from quadjax.race.recorded_starts import draw_recorded
+from quadjax.race.starts import draw_recorded
 from quadjax.race.step import Choices, Estimate, RaceParams, RaceState
 from quadjax.race.track import Track, gate, gate_count, pick
 from quadjax.vehicle import estimator

@@ -15,8 +15,7 @@ from flax import struct
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.recorded_starts import RecordedStarts
-from quadjax.race.starts import Disturbance, Start
+from quadjax.race.starts import Disturbance, RecordedStarts, Start
 from quadjax.race.track import Gate, Track
 from quadjax.vehicle.battery import Battery, BatteryState
 from quadjax.vehicle.estimator import EstimatorParams, EstimatorState

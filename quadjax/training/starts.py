@@ -9,7 +9,7 @@ from quadjax.core.files import check_finite
 from quadjax.flights.files import load
 from quadjax.flights.flight import MOTION, Flight
 from quadjax.race.environment import RaceParams
-from quadjax.race.recorded_starts import RecordedStarts, recorded_starts
+from quadjax.race.starts import RecordedStarts, recorded_starts
 from quadjax.vehicle.registry import model as vehicle_model
 
 NAMES = (*MOTION, "actuators")
