@@ -292,8 +292,9 @@ def _read_arrays(path: Path | str) -> tuple[dict[str, np.ndarray], str]:
                 raise InputError(f"{path}: {name}[{index}] is {word!r:.40}, expected a number")
         arrays[name] = np.array([float(word.rstrip("fF")) for word in words], np.float64)
         factors = re.findall(r"[\[*]\s*([^\[\]*]*?)\s*(?=[\]*])", sizes)
-        declared = all(map(str.isdecimal, factors)) and math.prod(map(int, factors))
-        if declared not in (False, len(words)):
+        numeric = all(map(str.isdecimal, factors))
+        declared = math.prod(map(int, factors)) if numeric else len(words)
+        if declared != len(words):
             text = f"{path}: {name} has {len(words)} numbers, its declaration says {declared}"
             raise InputError(text)
     if not arrays:
