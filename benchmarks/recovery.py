@@ -12,9 +12,9 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from quadjax.core.files import read_json
-from quadjax.fitting.log_frames import rotation_of_euler
 from quadjax.fitting.nominal import AXES, CONSTANTS, ModelInputs, nominal, residual_output
 from quadjax.fitting.regression import r_squared
 from quadjax.fitting.simulate import SensorNoise, simulate_flight
@@ -43,7 +43,7 @@ def exact_motion(vehicle, seed, seconds=30.0, sample_rate=500.0) -> ModelInputs:
     def group(prefix, suffixes) -> np.ndarray:
         return np.stack([columns[prefix + suffix] for suffix in suffixes], axis=1)[::10]
 
-    rotation = rotation_of_euler(group("att_", ("phi", "theta", "psi")))
+    rotation = Rotation.from_euler("ZYX", group("att_", ("psi", "theta", "phi")))
     rpm = group("rpm_obs_", "1234")
     rpm_rate = (group("rpm_ref_", "1234") - rpm) / float(vehicle.constants.tau)
     velocity = rotation.inv().apply(group("vel_", "xyz"))

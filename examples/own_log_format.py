@@ -5,7 +5,7 @@ import numpy as np
 from quadjax import VehicleParams
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log
-from quadjax.fitting.log_formats import LogFormat
+from quadjax.fitting.formats import LogFormat
 from quadjax.fitting.simulate import simulate_flight
 from quadjax.vehicle.vehicle_file import read_vehicle
 

@@ -15,7 +15,8 @@ from quadjax.core.resources import find_policy
 from quadjax.evaluation.evaluation import evaluate
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log
-from quadjax.fitting.log_formats import FORMATS as LOG_FORMATS
+from quadjax.fitting.formats import FORMATS as LOG_FORMATS
+from quadjax.fitting.log_table import read_head
 from quadjax.flights import files, gates
 from quadjax.flights.flight import Flight
 from quadjax.policy.file import FORMATS as POLICY_FORMATS
@@ -156,7 +157,7 @@ def _format_of(path: Path) -> LogsConfig:
         return LogsConfig(format="ulog")
     for name, form in LOG_FORMATS.items():
         columns = form.columns["time"] + form.columns["gyro"]
-        if form.read is None and set(columns) <= set(form.header(path)):
+        if form.read is None and set(columns) <= set(read_head(path, form.settings)[0]):
             # Nothing is fitted: commands at a limit, of unclear scale, do not matter.
             return LogsConfig(format=name, max_scale_error=1e6)
     raise InputError(f"{path}: columns of no known format, allowed: --logs with a fit config")

@@ -15,9 +15,9 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json
 from quadjax.core.resources import CONFIGS
-from quadjax.fitting.columns import WRITTEN
 from quadjax.fitting.config import LogsConfig, load_fit_config
 from quadjax.fitting.flight_log import read_log, write_log
+from quadjax.fitting.formats import WRITTEN
 from quadjax.plant.config import load_plant_config
 from quadjax.policy.network_files import read_state_dict
 from quadjax.sweeps.sweep import load_sweep

@@ -10,8 +10,8 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.evaluation.protocol import Protocol
 from quadjax.evaluation.rows import concatenate
-from quadjax.fitting.columns import paparazzi_columns
 from quadjax.fitting.flight_log import write_log
+from quadjax.fitting.formats import paparazzi_columns
 from quadjax.flights.flight import MOTORS, Flight, Signal
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flight import Plan

@@ -18,7 +18,7 @@ from quadjax.core.sections import (
     model_validator,
 )
 from quadjax.core.yaml_files import Tree, parse_overrides
-from quadjax.fitting.columns import WIDTHS
+from quadjax.fitting.formats import QUANTITIES
 
 Columns = Annotated[tuple[str, ...], Field(max_length=100)]
 MotorCommand = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -90,11 +90,14 @@ class LogsConfig(Section):
     @model_validator(mode="after")
     def _widths(self) -> Self:
         for quantity, names in self.columns.items():
-            if quantity not in WIDTHS:
-                raise ValueError(f"unknown key logs.columns.{quantity}; allowed: {list(WIDTHS)}")
-            if names and len(names) != WIDTHS[quantity]:
+            if quantity not in QUANTITIES:
                 raise ValueError(
-                    f"logs.columns.{quantity} has {len(names)} columns, allowed: {WIDTHS[quantity]}"
+                    f"unknown key logs.columns.{quantity}; allowed: {list(QUANTITIES)}"
+                )
+            width = QUANTITIES[quantity].width
+            if names and len(names) != width:
+                raise ValueError(
+                    f"logs.columns.{quantity} has {len(names)} columns, allowed: {width}"
                 )
         return self
 

@@ -28,13 +28,12 @@ from quadjax.fitting.changes import (
     vector_changes,
 )
 from quadjax.fitting.config import LogsConfig
+from quadjax.fitting.formats import ATTITUDES, FROM_FRD, TO_NED
 from quadjax.fitting.identities import Arrays, Identity, Signals, signals_of
-from quadjax.fitting.log_frames import axes_of_frames
 from quadjax.fitting.motor_evidence import LAG, motor_evidence, typical_speeds
 from quadjax.fitting.signals import first_order
 
 EVIDENCE = 6.0  # least gain of log-likelihood that is evidence
-ATTITUDES = ("euler", "quaternion", "rotation")
 VECTORS = ("gyro", "acceleration", "body_velocity", "world_velocity", "position")
 CHECKED = (*VECTORS, *ATTITUDES, "rpm", "motor_command")
 Names = Mapping[str, list[str]]
@@ -47,7 +46,7 @@ class Evidence:
     signals: Signals
     quantities: Arrays  # (m, 3) as logged, the attitude (m, 3, 3)
     identities: tuple[Identity, ...]
-    config: LogsConfig
+    frames: tuple[str, str]  # of the log: body and world
 
     def gains(self, changes: Sequence[Change]) -> np.ndarray:
         """Gains (h,) of log-likelihood by changes of one vector quantity or of the attitude."""
@@ -99,8 +98,8 @@ class Evidence:
         if form == "quaternion":
             return laws.matrices_of_quaternions(values)
         rotations = laws.matrices_of_quaternions(laws.quaternions_of_angles(values))
-        to_world, from_body = axes_of_frames(self.config)
-        return to_world @ rotations @ from_body
+        body, world = self.frames
+        return TO_NED[world].as_matrix() @ rotations @ FROM_FRD[body].as_matrix()
 
     def _each(self, identity: Identity, changes: Sequence[Change]) -> np.ndarray:
         """Gains (h,) by evaluating the identity under every change."""
@@ -140,7 +139,7 @@ class Evidence:
         return count * np.maximum(-np.log(factors), 0.0).sum(axis=1)
 
 
-def evidence_of(signals: Signals, names: Names, config: LogsConfig) -> Evidence:
+def evidence_of(signals: Signals, names: Names, frames: tuple[str, str]) -> Evidence:
     """The identities that the quantities of a log have to fulfill."""
     quantities = {name: signals.at(name) for name in VECTORS if name in signals.values}
     if "quaternion" not in signals.values:
@@ -148,17 +147,23 @@ def evidence_of(signals: Signals, names: Names, config: LogsConfig) -> Evidence:
         down = measured - laws.turning_gravity(quantities, signals.rate)
         quantities["down"] = down / np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9)
         laws_of_log = (laws.TURNING_GRAVITY, laws.GRAVITY_SIZE)
-        return Evidence(signals, quantities, laws_of_log, config)
+        return Evidence(signals, quantities, laws_of_log, frames)
     quantities["attitude"] = laws.matrices_of_quaternions(signals.at("quaternion"))
     world = "world_velocity" in names
     chosen = [laws.TURNING, laws.FORCING if world else laws.FORCING_BODY]
     if "position" in quantities:
         chosen.append(laws.MOVING if world else laws.MOVING_BODY)
-    return Evidence(signals, quantities, tuple(chosen), config)
+    return Evidence(signals, quantities, tuple(chosen), frames)
 
 
 def check_consistency(
-    path: str, names: Names, quantities: Arrays, rate: float, flying: np.ndarray, config: LogsConfig
+    path: str,
+    names: Names,
+    quantities: Arrays,
+    rate: float,
+    flying: np.ndarray,
+    frames: tuple[str, str],
+    config: LogsConfig,
 ) -> list[str]:
     """Compare the columns of a log with one another.
 
@@ -169,6 +174,7 @@ def check_consistency(
             ``euler`` of the log's own frames; the quaternion is scalar last.
         rate: Hz, of the samples.
         flying: (n,) whether in flight.
+        frames: body and world of the log, keys of ``FROM_FRD`` and ``TO_NED``.
         config: with the largest allowed errors of scale, time and angle.
 
     Returns:
@@ -184,7 +190,7 @@ def check_consistency(
     signals = signals_of(_with_motors(quantities, rate), flying, rate)
     if signals is None:
         return [f"{listed(names[name])} (a short flight)" for name in CHECKED if name in names]
-    changes, gains = _search(signals, names, form, config)
+    changes, gains = _search(signals, names, form, frames, config)
     allowed = np.array([change.allowed for change in changes])
     best_allowed = max(0.0, float(gains[allowed].max(initial=0.0)))
     unlikely = np.array([change.unlikely for change in changes])
@@ -224,10 +230,10 @@ def _with_motors(quantities: Arrays, rate: float) -> dict[str, np.ndarray]:
 
 
 def _search(
-    signals: Signals, names: Names, form: str, config: LogsConfig
+    signals: Signals, names: Names, form: str, frames: tuple[str, str], config: LogsConfig
 ) -> tuple[list[Change], np.ndarray]:
     """Every change of a log's columns, the simple ones first, and its gain of log-likelihood."""
-    evidence, motors = evidence_of(signals, names, config), motor_evidence(signals)
+    evidence, motors = evidence_of(signals, names, frames), motor_evidence(signals)
     limits = Limits(config.max_scale_error, config.max_delay, config.max_angle)
     used = {name for law in evidence.identities for name in law.uses}
     changes: list[Change] = []

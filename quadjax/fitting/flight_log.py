@@ -1,4 +1,8 @@
-"""Flight logs: reading, checking, and conversion to one set of units and frames."""
+"""Flight logs: reading, checking, and conversion to one set of units and frames.
+
+A file is read as a table, its columns become quantities in SI and rpm, these are brought to body
+FRD and world NED and to evenly spaced times, and they are compared with one another.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,36 +12,48 @@ from typing import Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadjax.core.errors import InputError
+from quadjax.core.errors import USER_ERRORS, InputError, user_error
 from quadjax.core.files import whole_file
-from quadjax.fitting.columns import ATTITUDES, REQUIRED, scale_of, wanted_columns
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.consistency import check_consistency
-from quadjax.fitting.csv_table import LogTable, numbers_of
-from quadjax.fitting.log_formats import LogFormat, log_format, resolved, table_of_columns
-from quadjax.fitting.log_frames import WORLD, to_standard_frames
+from quadjax.fitting.formats import (
+    ATTITUDES,
+    COMMANDS,
+    FROM_FRD,
+    QUANTITIES,
+    TO_NED,
+    UNITS,
+    LogFormat,
+    Quantities,
+    log_format,
+    numbers_of,
+)
+from quadjax.fitting.log_table import LogTable, continuous, interpolated, read_csv, read_head
 from quadjax.fitting.magnitudes import (
     Recording,
     check_attitude,
-    check_own_frames,
+    check_columns,
+    check_levels,
+    check_thrust,
     check_time,
-    check_units,
-    check_variation,
 )
 from quadjax.fitting.motor_evidence import typical_speeds
 from quadjax.flights.flight import AXES, MOTORS, RATES, Flight, Signal, motion_signals
 
-COMMANDS = ("rpm_command", "motor_command", "rate_command", "thrust_command")
-Quantities = dict[str, np.ndarray]
 STANDIN_LOGS = "standin_logs"
 STANDIN_HINT = (
     "; simulate them: quadjax logs standin --policy e2e_nominal --policy indi_shac "
     f"--output runs/{STANDIN_LOGS}"
 )
-SIGNALS = (
-    *("time", "rpm", "rpm_command", "rate_command", "thrust_command", "motor_command", "flying"),
-    *("body_velocity", "rates", "specific_force", "position", "attitude"),
-)
+SIGNALS = {  # of a flight: name, unit and labels by the attribute of a log
+    "rpm_command": ("command", "rpm", MOTORS),
+    "rpm": ("actuators", "rpm", MOTORS),
+    "motor_command": ("motor_command", "", MOTORS),
+    "rate_command": ("rate_command", "rad/s", RATES),
+    "thrust_command": ("thrust_command", "m/s^2", ("thrust",)),
+    "specific_force": ("specific_force", "m/s^2", AXES),
+    "flying": ("flying", "", ()),
+}
 
 
 @dataclass(frozen=True)
@@ -57,7 +73,6 @@ class FlightLog:
     flying: np.ndarray  # (n,) bool, from the log's mode; all true without one
     position: np.ndarray | None  # (n, 3) m, world
     attitude: Rotation | None  # n, body to world
-    columns: dict[str, list[str]]  # names by quantity
     cut_row: int | None = None  # the last row of the file, left out because no line break ends it
     unchecked: tuple[str, ...] = ()  # columns without evidence of sign and order
     motor_command: np.ndarray | None = None  # (n, 4) 0 to 1
@@ -71,9 +86,9 @@ class FlightLog:
     def flight(self, name: str | None = None) -> Flight:
         """The log as a flight, without gates; not for a log without a position.
 
-        Further signals: "motor_command", "rate_command" and "thrust_command", where
-        the log has them, "specific_force" and "flying". "command" and "actuators" are propeller
-        speeds. Without an attitude it is NaN, and the velocity is the derivative of the position.
+        It has further signals, those of ``SIGNALS`` that the log has; "command" and "actuators" are
+        propeller speeds. Without an attitude it is NaN, and the velocity is the derivative of the
+        position.
 
         Args:
             name: of the flight; that of the log if not given.
@@ -87,29 +102,18 @@ class FlightLog:
             attitude = self.attitude.as_euler("ZYX")[:, ::-1]
         motion = {"position": self.position, "velocity": velocity, "attitude": attitude}
         signals = motion_signals(motion | {"rates": self.rates})
-        if self.rpm_command is not None:
-            signals["command"] = Signal(self.rpm_command, "rpm", MOTORS)
-        if self.speeds_measured:
-            signals["actuators"] = Signal(self.rpm, "rpm", MOTORS)
-        if self.motor_command is not None:
-            signals["motor_command"] = Signal(self.motor_command, "", MOTORS)
-        if self.rate_command is not None:
-            signals["rate_command"] = Signal(self.rate_command, "rad/s", RATES)
-        if self.thrust_command is not None:
-            signals["thrust_command"] = Signal(self.thrust_command[:, None], "m/s^2", ("thrust",))
-        signals["specific_force"] = Signal(self.specific_force, "m/s^2", AXES)
-        signals["flying"] = Signal(self.flying[:, None].astype(np.float64))
+        for attribute, (signal, unit, labels) in SIGNALS.items():
+            values = getattr(self, attribute)
+            if values is not None and (attribute != "rpm" or self.speeds_measured):
+                columns = np.asarray(values, np.float64).reshape(len(values), -1)
+                signals[signal] = Signal(columns, unit, labels)
         source = {"note": "flight log", "path": self.path}
         return Flight(name or self.name, self.time, signals, source=source)
 
     def __getitem__(self, rows: slice) -> Self:
         """The flight at some consecutive samples."""
-        parts = {
-            name: value[rows]
-            for name, value in vars(self).items()
-            if name in SIGNALS and value is not None
-        }
-        return replace(self, **parts)
+        sampled = {k: v for k, v in vars(self).items() if isinstance(v, (np.ndarray, Rotation))}
+        return replace(self, **{name: values[rows] for name, values in sampled.items()})
 
 
 def find_logs(config: LogsConfig, folder: Path) -> list[Path]:
@@ -174,46 +178,72 @@ def read_log(path: Path | str, config: LogsConfig) -> FlightLog:
             or has a gap, an implausible unit, a column that contradicts the others, a file that is
             empty or too short; one line with the file, the column and the row.
     """
-    own = log_format(config.format)
-
-    def select(header: list[str]) -> list[str]:
-        wanted = _wanted(path, config, own, header)
-        return [name for group in wanted.values() for name in group]
-
-    return _log_of_table(own.table(path, select), config, own, path)
+    form = log_format(config.format)
+    if form.read is not None:
+        columns = _users(form.read, path, Path(path))
+        if not isinstance(columns, Mapping):
+            raise InputError(f"{path}: the reader gives {columns!r:.40}, expected columns by name")
+        return _log(path, LogTable(columns), config)
+    header = read_head(path, form.settings)[0]
+    wanted = _wanted(path, config, form, header)
+    names = [name for group in wanted.values() for name in group]
+    return _log(path, read_csv(path, names, form.settings), config)
 
 
 def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) -> FlightLog:
-    """A flight log from columns (n,), finite numbers each, by the names of ``config``.
+    """A flight log from columns (n,) by name, the first sample in row 2 of a file.
 
-    Args:
-        columns: of a table, in the config's units and frames.
-        config: of the columns; ``files`` is not used.
-        path: of the table; its stem is the name of the log.
-
-    Raises:
-        InputError: as ``read_log``.
+    Arguments and errors as ``read_log``; the stem of the path is the name of the log.
     """
-    own = log_format(config.format)
-    wanted = _wanted(path, config, own, list(columns))
-    table = table_of_columns(columns, path, [name for group in wanted.values() for name in group])
-    return _log_of_table(replace(table, first_row=2), config, own, path)
+    return _log(path, LogTable(columns, first_row=2), config)
+
+
+def _users(function: Callable, path: Path | str, *arguments: object) -> object:
+    """What a user's function returns; its errors as one line."""
+    try:
+        return function(*arguments)
+    except InputError as error:
+        line = f"{error}"
+        raise InputError(line if line.startswith(f"{path}") else f"{path}: {line}") from error
+    except USER_ERRORS as error:
+        raise InputError(f"{path}: {user_error(error)}") from error
 
 
 def _wanted(
-    path: Path | str, config: LogsConfig, own: LogFormat, header: list[str]
+    path: Path | str, config: LogsConfig, form: LogFormat, header: Sequence[str]
 ) -> dict[str, list[str]]:
-    """Names of the columns to read, by quantity."""
-    wanted = wanted_columns(config, header, own.columns, own.alternatives)
-    for quantity in REQUIRED:
-        if quantity not in wanted:
-            raise InputError(f"{path}: no columns for {quantity} (logs.columns.{quantity})")
-    for either, columns in (
-        ("rpm or motor_command", {"rpm", "motor_command"}),
-        ("body_velocity or world_velocity", {"body_velocity", "world_velocity"}),
+    """Columns of a log to read, by quantity, without those that are optional and absent.
+
+    A quantity with an empty list is not read. ``logs.columns`` for one form of a quantity (world
+    velocity, quaternion) replaces the format's other forms.
+    """
+    preset = dict(form.columns)
+    for quantity, others in form.alternatives.items():
+        choices = [preset[quantity], *others]
+        present = [names for names in choices if set(names) <= set(header)]
+        preset[quantity] = (present or choices)[0]
+    for forms in (("world_velocity", "body_velocity"), ATTITUDES):
+        if any(config.columns.get(name) for name in forms):
+            preset = {name: names for name, names in preset.items() if name not in forms}
+    if "acceleration" in config.columns:
+        preset.pop("acceleration_bias", None)
+    wanted = {}
+    for quantity, names in (preset | dict(config.columns)).items():
+        optional = QUANTITIES[quantity].optional or (
+            quantity == "rpm" and "motor_command" in form.columns
+        )
+        absent = optional and quantity not in config.columns and not set(names) & set(header)
+        if names and not absent:
+            wanted[quantity] = list(names)
+    for choices, words in (
+        (("time",), "time (logs.columns.time)"),
+        (("gyro",), "gyro (logs.columns.gyro)"),
+        (("acceleration",), "acceleration (logs.columns.acceleration)"),
+        (("rpm", "motor_command"), "rpm or motor_command (logs.columns)"),
+        (("body_velocity", "world_velocity"), "body_velocity or world_velocity (logs.columns)"),
     ):
-        if not columns & set(wanted):
-            raise InputError(f"{path}: no columns for {either} (logs.columns)")
+        if not set(choices) & set(wanted):
+            raise InputError(f"{path}: no columns for {words}")
     if "body_velocity" not in wanted and not set(ATTITUDES) & set(wanted):
         raise InputError(
             f"{path}: world_velocity needs columns for {', '.join(ATTITUDES[:-1])} or "
@@ -222,37 +252,35 @@ def _wanted(
     return wanted
 
 
-def _log_of_table(
-    table: LogTable, config: LogsConfig, own: LogFormat, path: Path | str
-) -> FlightLog:
-    config = resolved(config)
-    wanted = _wanted(path, config, own, list(table.columns))
-    quantities = _quantities(table, wanted, config, own, path)
-    recording = Recording(str(path), table, wanted, quantities)
+def _log(path: Path | str, table: LogTable, config: LogsConfig) -> FlightLog:
+    form = log_format(config.format)
+    names = _wanted(path, config, form, list(table.columns))
+    quantities = _quantities(path, table, names, config, form)
+    recording = Recording(str(path), table.where, names, quantities)
     check_time(recording, config)
     check_attitude(recording)
-    quantities = own.adjusted(path, quantities, table.settings)
-    recording = replace(recording, quantities=quantities)
-    check_variation(recording)
-    check_own_frames(recording)
-    quantities, config = to_standard_frames(quantities, config)
-    check_units(replace(recording, quantities=quantities), config)
-    if config.world_frame == "ENU":  # the names in the order of north, east, down
-        ordered = {quantity: wanted[quantity] for quantity in WORLD if quantity in wanted}
-        wanted |= {quantity: [names[i] for i in (1, 0, 2)] for quantity, names in ordered.items()}
-    even, flying = _evenly(quantities)
+    if form.adjust is not None:
+        adjusted = _users(form.adjust, path, quantities, table.settings)
+        recording = replace(recording, quantities=adjusted)
+    check_columns(recording)
+    check_levels(recording, 1.0 + config.max_scale_error)
+    frames = (config.body_frame or form.body_frame, config.world_frame or form.world_frame)
+    standard, frames = to_standard_frames(recording.quantities, *frames)
+    check_thrust(replace(recording, quantities=standard))
+    if frames[1] == "ENU":  # the names in the order of north, east, down
+        world = [name for name in names if QUANTITIES[name].frame == "world"]
+        names = names | {name: [names[name][i] for i in (1, 0, 2)] for name in world}
+    even, flying = _evenly(standard)
     even["acceleration"] = even["acceleration"] - even.pop("acceleration_bias", 0.0)
     rate = (len(flying) - 1) / float(even["time"][-1] - even["time"][0])
-    unchecked = tuple(check_consistency(str(path), wanted, even, rate, flying, config))
-    if "rpm" not in even:
-        wanted = wanted | {"rpm": wanted["motor_command"]}
-        even["rpm"] = typical_speeds(even["motor_command"], rate)
+    unchecked = check_consistency(str(path), names, even, rate, flying, frames, config)
+    measured = "rpm" in even
     return FlightLog(
         name=Path(path).stem,
         path=str(path),
         time=even["time"],
-        rpm=even["rpm"],
-        speeds_measured="rpm" in quantities,
+        rpm=even["rpm"] if measured else typical_speeds(even["motor_command"], rate),
+        speeds_measured=measured,
         **{name: even.get(name) for name in COMMANDS},
         body_velocity=even["body_velocity"],
         rates=even["gyro"],
@@ -260,44 +288,102 @@ def _log_of_table(
         flying=flying,
         position=even.get("position"),
         attitude=Rotation.from_quat(even["quaternion"]) if "quaternion" in even else None,
-        columns=wanted,
         cut_row=table.cut_row,
-        unchecked=unchecked,
+        unchecked=tuple(unchecked),
     )
 
 
 def _quantities(
-    table: LogTable,
-    wanted: dict[str, list[str]],
-    config: LogsConfig,
-    own: LogFormat,
     path: Path | str,
+    table: LogTable,
+    names: Mapping[str, list[str]],
+    config: LogsConfig,
+    form: LogFormat,
 ) -> Quantities:
-    """Quantities (n,) or (n, k) in SI, rpm, and motor commands from 0 to 1."""
-    found: Quantities = {}
-    for quantity, group in wanted.items():
-        values = np.stack([table.columns[name] for name in group], axis=1)
-        values = values * scale_of(quantity, config.units)
+    """Quantities (n,) or (n, k) in SI, rpm, and motor commands from 0 to 1.
+
+    Raises:
+        InputError: a missing column, columns of different lengths, or a number that is not finite.
+    """
+    result: Quantities = {}
+    for quantity, group in names.items():
+        columns = []
+        for name in group:
+            if name not in table.columns:
+                raise InputError(f"{path}: column {name!r} is missing")
+            columns.append(values := np.asarray(table.columns[name], np.float64))
+            length = len(result.get("time", columns[0]))
+            if values.shape != (length,):
+                raise InputError(
+                    f"{path}: column {name!r} has shape {values.shape}, expected ({length},)"
+                )
+            for row in np.flatnonzero(~np.isfinite(values))[:1]:
+                raise InputError(
+                    f"{path}: {table.where(row)}, column {name!r} is {values[row]}, expected a "
+                    "finite number"
+                )
+        kind = QUANTITIES[quantity].unit
+        unit = getattr(config.units, kind) or form.units.get(kind) if kind else None
+        values = np.stack(columns, axis=1) * (UNITS[kind][unit] if unit else 1.0)
         if quantity == "motor_command":
-            low, high = config.motor_range or _motor_range(own, table.settings, path)
+            low, high = config.motor_range or _motor_range(path, form, table.settings)
             values = (values - low) / max(high - low, 1e-9)
-        found[quantity] = values[:, 0] if len(group) == 1 else values
-    return found
+        result[quantity] = values[:, 0] if len(group) == 1 else values
+    return result
 
 
 def _motor_range(
-    own: LogFormat, settings: Mapping[str, str], path: Path | str
+    path: Path | str, form: LogFormat, settings: Mapping[str, str]
 ) -> tuple[float, float]:
     """Motor commands that are 0 and 1: of the log's head, or else of the format."""
-    if own.motor_setting not in settings:
-        return own.motor_range
-    span = numbers_of(settings, own.motor_setting)
+    if form.motor_setting not in settings:
+        return form.motor_range
+    span = numbers_of(settings, form.motor_setting)
     if len(span) != 2 or span[0] >= span[1]:
         raise InputError(
-            f"{path}: setting {own.motor_setting} is {settings[own.motor_setting]!r:.80}, "
+            f"{path}: setting {form.motor_setting} is {settings[form.motor_setting]!r:.80}, "
             "allowed: the lowest and the highest command"
         )
     return span[0], span[1]
+
+
+def to_standard_frames(
+    logged: Quantities, body: str, world: str
+) -> tuple[Quantities, tuple[str, str]]:
+    """Vectors in body FRD and world NED, with body velocity; the attitude as ``quaternion``.
+
+    Args:
+        logged: quantities in the log's frames.
+        body: frame of the log, a key of ``FROM_FRD``, or auto.
+        world: a key of ``TO_NED``, or auto.
+
+    Returns:
+        The quantities, quaternions scalar last, and the two frames.
+    """
+    rotation = None
+    if "quaternion" in logged:
+        rotation = Rotation.from_quat(logged["quaternion"][:, [1, 2, 3, 0]])
+    elif "rotation" in logged:
+        rotation = Rotation.from_matrix(logged["rotation"].reshape(-1, 3, 3))
+    elif "euler" in logged:
+        rotation = Rotation.from_euler("ZYX", logged["euler"][:, ::-1])
+    force = logged["acceleration"] - logged.get("acceleration_bias", 0.0)
+    if body == "auto":
+        body = "FLU" if np.median(force[:, 2]) > 0.0 else "FRD"
+    if world == "auto":
+        up = rotation is not None and rotation.apply(force)[:, 2].mean() > 0.0
+        world = "ENU" if up else "NED"
+    turns = {"body": FROM_FRD[body].inv(), "world": TO_NED[world]}
+    result = {
+        name: turns[frame].apply(values) if (frame := QUANTITIES[name].frame) else values
+        for name, values in logged.items()
+    }
+    if rotation is not None:
+        rotation = TO_NED[world] * rotation * FROM_FRD[body]
+        result["quaternion"] = continuous(rotation.as_quat())
+        if "body_velocity" not in result:
+            result["body_velocity"] = rotation.inv().apply(result["world_velocity"])
+    return result, (body, world)
 
 
 def highest_speed(logs: Sequence[FlightLog]) -> float:
@@ -317,11 +403,11 @@ def write_log(path: Path | str, columns: Quantities) -> None:
 def _evenly(quantities: Quantities) -> tuple[Quantities, np.ndarray]:
     """Quantities at evenly spaced times, and whether in flight; commands by their last value."""
     time, steps = quantities["time"], np.diff(quantities["time"])
-    count = len(time)
-    if np.ptp(steps) > 0.01 * np.median(steps):
-        count = int(round((time[-1] - time[0]) / np.median(steps))) + 1
+    count, usual = len(time), np.median(steps)
+    if np.ptp(steps) > 0.01 * usual:
+        count = int(round((time[-1] - time[0]) / usual)) + 1
     even = np.linspace(time[0], time[-1], count)
-    nearest = np.clip(np.searchsorted(time, even - 0.5 * np.median(steps)), 0, len(time) - 1)
+    nearest = np.clip(np.searchsorted(time, even - 0.5 * usual), 0, len(time) - 1)
     result = {"time": even}
     for name in quantities.keys() - {"time", "mode"}:
         values = quantities[name]
@@ -329,6 +415,6 @@ def _evenly(quantities: Quantities) -> tuple[Quantities, np.ndarray]:
             result[name] = values[nearest]
         else:
             values = np.unwrap(values, axis=0) if name == "euler" else values
-            result[name] = np.stack([np.interp(even, time, column) for column in values.T], axis=1)
+            result[name] = interpolated(even, time, values)
     mode = quantities.get("mode")
     return result, np.ones(count, bool) if mode is None else mode[nearest] > 0

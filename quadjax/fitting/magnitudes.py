@@ -3,39 +3,24 @@
 Each check raises an ``InputError`` of one line with the file, the column and the row.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import LogsConfig
-from quadjax.fitting.csv_table import LogTable
+from quadjax.fitting.formats import QUANTITIES, Quantities
+from quadjax.fitting.log_table import time_fault
+from quadjax.vehicle.airframe import GRAVITY
 
-GRAVITY = 9.81
 LEAST_ROWS = 50  # of a log, for the filters
 DETERMINANT_SLACK = 0.1  # of a rotation matrix, from 1
-COMMAND_SLACK = 0.02  # of a motor command beyond its range
-MAY_BE_CONSTANT = {
-    *("time", "mode", "acceleration_bias"),
-    *("rpm_command", "motor_command", "rate_command", "thrust_command", "rotation"),
-}
-LARGEST = {  # quantity: value, unit, and the unit of a larger one
-    "gyro": (60.0, "rad/s", "deg/s"),
-    "rate_command": (60.0, "rad/s", "deg/s"),
-    "thrust_command": (400.0, "m/s^2", "newtons"),
-    "acceleration": (400.0, "m/s^2", "milli-g"),
-    "acceleration_bias": (10.0, "m/s^2", "milli-g"),
-    "body_velocity": (100.0, "m/s", "cm/s"),
-    "world_velocity": (100.0, "m/s", "cm/s"),
-}
-ANGLES = (3.2, 1.6, 1000.0)  # rad, largest roll, pitch and yaw
 MEDIANS = (  # of propeller speeds in flight, rpm: from, to, and what else it may be
     (-np.inf, -100.0, "expected no sign"),
     (-100.0, 2000.0, "is this rad/s (logs.units.rpm)?"),
     (60_000.0, np.inf, "is this electrical speed (pole pairs times the propeller's)?"),
 )
-SPEEDS = (-100.0, 100_000.0)  # rpm, lowest and highest
 
 
 @dataclass(frozen=True)
@@ -43,13 +28,13 @@ class Recording:
     """Columns of a log by quantity, (n,) or (n, k) in SI and rpm, and their places in the file."""
 
     path: str
-    table: LogTable
+    where: Callable[[int], str]  # place of a sample, for messages
     names: Mapping[str, list[str]]
-    quantities: dict[str, np.ndarray]
+    quantities: Quantities
 
     def error(self, row: int, columns: str, problem: str) -> InputError:
         """A problem of some columns at a sample."""
-        return InputError(f"{self.path}: {self.table.where(int(row))}, {columns}{problem}")
+        return InputError(f"{self.path}: {self.where(int(row))}, column {columns}{problem}")
 
     @property
     def flying(self) -> np.ndarray:
@@ -64,26 +49,18 @@ class Recording:
 
 def check_time(log: Recording, config: LogsConfig) -> None:
     """Time must increase without gaps, for long enough, at a plausible rate."""
-    time, column = log.quantities["time"], f"column {log.names['time'][0]!r}: "
+    time, column = log.quantities["time"], f"{log.names['time'][0]!r}: "
     last = len(time) - 1
     if len(time) < LEAST_ROWS:
         problem = f"the file ends after {len(time)} rows of data, expected at least {LEAST_ROWS}"
         raise log.error(last, column, problem)
-    steps = np.diff(time)
-    row = int((steps <= 0.0).argmax())
-    if steps[row] <= 0.0:
-        word = "runs backwards" if steps[row] < 0.0 else "stands still"
-        problem = f"time {word}, from {time[row]:.6g} to {time[row + 1]:.6g} s"
-        raise log.error(row + 1, column, problem)
-    usual, seconds = float(np.median(steps)), time[-1] - time[0]
-    if not 2e-4 < usual < 0.051:
+    usual, seconds = float(np.median(np.diff(time))), time[-1] - time[0]
+    fault = time_fault(time, np.inf)
+    if fault is None and not 2e-4 < usual < 0.051:
         problem = f"samples are {usual:.3g} s apart, expected 0.0002 to 0.05 s; is "
         raise log.error(1, column, problem + "logs.units.time right?")
-    longest = max(config.max_gap, 2.5 * usual)
-    row = int(steps.argmax())
-    if steps[row] > longest:
-        problem = f"a gap of {steps[row]:.3g} s, allowed: {longest:.3g} s (logs.max_gap)"
-        raise log.error(row + 1, column, problem)
+    if fault := fault or time_fault(time, max(config.max_gap, 2.5 * usual)):
+        raise log.error(fault[0], column, f"{fault[1]} (logs.max_gap)")
     if seconds < config.min_seconds:
         problem = f"the file ends after {seconds:.3g} s, expected at least {config.min_seconds:g} s"
         raise log.error(last, column, problem)
@@ -91,88 +68,64 @@ def check_time(log: Recording, config: LogsConfig) -> None:
 
 def check_attitude(log: Recording) -> None:
     """Rotation matrices must have the determinant 1, quaternions a length above 0."""
-    for form, size_of in (("rotation", _determinant), ("quaternion", _length)):
+    for form, word in (("rotation", "determinant"), ("quaternion", "length")):
         if form not in log.quantities:
             continue
-        size, word = size_of(log.quantities[form]), size_of.__name__.strip("_")
-        bad = np.abs(size - 1.0) > DETERMINANT_SLACK if form == "rotation" else size == 0.0
-        if bad.any():
-            row = int(bad.argmax())
+        values = log.quantities[form]
+        if form == "rotation":
+            size = np.linalg.det(values.reshape(-1, 3, 3))
+            bad = np.abs(size - 1.0) > DETERMINANT_SLACK
+        else:
+            size = np.linalg.norm(values, axis=1)
+            bad = size == 0.0
+        for row in np.flatnonzero(bad)[:1]:
             problem = f"an attitude with a {word} of {size[row]:.3g}, expected 1"
-            raise log.error(row, f"column {log.names[form][0]!r} and on: ", problem)
+            raise log.error(row, f"{log.names[form][0]!r} and on: ", problem)
 
 
-def _determinant(rotation: np.ndarray) -> np.ndarray:
-    return np.linalg.det(rotation.reshape(-1, 3, 3))
-
-
-def _length(quaternion: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(quaternion, axis=1)
-
-
-def check_variation(log: Recording) -> None:
-    """Reject a column with one value throughout the flight, which no measurement has."""
-    rows = log.flying
-    for quantity in log.quantities.keys() - MAY_BE_CONSTANT:
-        for name, values in zip(log.names[quantity], log.quantities[quantity].T, strict=True):
-            if np.ptp(values[rows]) == 0.0:
+def check_columns(log: Recording) -> None:
+    """Measurements must not be constant in flight, nor beyond their range in ``QUANTITIES``."""
+    flying = log.flying
+    for quantity, values in log.quantities.items():
+        row = QUANTITIES[quantity]
+        for i, (name, column) in enumerate(
+            zip(log.names[quantity], np.atleast_2d(values.T), strict=True)
+        ):
+            if not row.may_be_constant and np.ptp(column[flying]) == 0.0:
                 raise InputError(
-                    f"{log.path}: column {name!r} is {values[rows][0]:.6g} throughout the flight, "
-                    f"expected a measurement of {quantity}"
+                    f"{log.path}: column {name!r} is {column[flying][0]:.6g} throughout the "
+                    f"flight, expected a measurement of {quantity}"
                 )
+            if quantity in ("rpm", "rpm_command"):
+                _check_median(log, name, column)
+            if not row.range:
+                continue
+            low, high = (np.broadcast_to(bound, row.width)[i] for bound in row.range)
+            beyond = (column < low) | (column > high)
+            if quantity == "motor_command":
+                beyond &= flying
+            for sample in np.flatnonzero(beyond)[:1]:
+                problem = f" is {column[sample]:.4g} {row.si}, expected {low:g} to {high:g}"
+                question = f"; is {row.hint}?" if row.hint else ""
+                raise log.error(sample, repr(name), problem + question)
 
 
-def check_own_frames(log: Recording) -> None:
-    """Motor commands must be within 0 and 1 in flight, angles must be radians."""
-    commands = log.quantities.get("motor_command")
-    if commands is not None:
-        beyond = (commands < -COMMAND_SLACK) | (commands > 1.0 + COMMAND_SLACK)
-        for row, i in np.argwhere(beyond & log.flying[:, None])[:1]:
-            problem = f"a motor command of {commands[row, i]:.4g} in flight, expected 0 to 1; is "
-            column = f"column {log.names['motor_command'][i]!r}: "
-            raise log.error(row, column, problem + "logs.motor_range right?")
-    angles = log.quantities.get("euler", np.zeros((1, 3)))
-    for axis, largest in enumerate(ANGLES):
-        row = int(np.abs(angles[:, axis]).argmax())
-        if abs(angles[row, axis]) > largest:
-            problem = f"an angle of {angles[row, axis]:.3g} rad; is this in degrees "
-            column = f"column {log.names['euler'][axis]!r}: "
-            raise log.error(row, column, problem + "(logs.units.angle)?")
+def _check_median(log: Recording, name: str, speeds: np.ndarray) -> None:
+    rows = np.flatnonzero(log.flying)
+    middle = float(np.median(speeds[rows]))
+    for low, high, hint in MEDIANS:
+        if low < middle < high:
+            problem = f"a median of {middle:.4g} rpm in flight; {hint}"
+            raise log.error(rows[0], f"{name!r} and on: ", problem)
 
 
-def check_units(log: Recording, config: LogsConfig) -> None:
-    """Magnitudes must be those of a flying quadcopter; others indicate a wrong unit or frame."""
-    for quantity in ("rpm", "rpm_command"):
-        if quantity in log.quantities:
-            _check_speeds(log, quantity)
-    _check_levels(log, 1.0 + config.max_scale_error)
-    _check_thrust(log)
-    for quantity, (largest, unit, other) in LARGEST.items():
-        if quantity not in log.names:
-            continue
-        values = log.quantities[quantity].reshape(len(log.quantities["time"]), -1)
-        row, axis = np.unravel_index(int(np.abs(values).argmax()), values.shape)
-        if abs(values[row, axis]) > largest:
-            problem = f" is {values[row, axis]:.4g} {unit}, expected at most {largest:g}; is this "
-            column = f"column {log.names[quantity][int(axis)]!r}"
-            raise log.error(int(row), column, problem + f"in {other}?")
+def check_levels(log: Recording, largest: float) -> None:
+    """The motors turn at about the same speed, and at that of their commands.
 
-
-def _check_speeds(log: Recording, quantity: str) -> None:
-    rows, (lowest, highest) = np.flatnonzero(log.flying), SPEEDS
-    for name, values in zip(log.names[quantity], log.quantities[quantity].T, strict=True):
-        middle = float(np.median(values[rows]))
-        for low, high, hint in MEDIANS:
-            if low < middle < high:
-                problem = f"a median of {middle:.4g} rpm in flight; {hint}"
-                raise log.error(rows[0], f"column {name!r} and on: ", problem)
-        for row in np.flatnonzero((values < lowest) | (values > highest))[:1]:
-            problem = f" is {values[row]:.4g} rpm, expected 0 to {highest:g}"
-            raise log.error(row, f"column {name!r}", problem)
-
-
-def _check_levels(log: Recording, largest: float) -> None:
-    """The motors turn at about the same speed, and at that of their commands."""
+    Args:
+        log: with or without speeds.
+        largest: factor between them that is allowed.
+    """
     rows, quantities = log.flying, log.quantities
     if "rpm" not in quantities:
         return
@@ -194,10 +147,10 @@ def _check_levels(log: Recording, largest: float) -> None:
             )
 
 
-def _check_thrust(log: Recording) -> None:
-    """The specific force is about that of gravity, along -z."""
+def check_thrust(log: Recording) -> None:
+    """The specific force, in FRD axes, is about that of gravity, along -z."""
     rows, names = np.flatnonzero(log.flying), log.names["acceleration"]
-    airborne, column = log.quantities["acceleration"][rows], f"column {names[2]!r} and on: "
+    airborne, column = log.quantities["acceleration"][rows], f"{names[2]!r} and on: "
     size = float(np.median(np.linalg.norm(airborne, axis=1)))
     if not 0.4 * GRAVITY < size < 5.0 * GRAVITY:
         hint = "is this in g (logs" if size < GRAVITY else "is the unit right (logs"

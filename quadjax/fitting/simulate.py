@@ -18,8 +18,8 @@ from quadjax.core.errors import InputError
 from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.integrators import rk4_step
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.fitting.columns import paparazzi_columns
 from quadjax.fitting.flight_log import write_log
+from quadjax.fitting.formats import paparazzi_columns
 from quadjax.vehicle import motor
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import Layers, Residual, residual_force_moment

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 import quadjax
 from quadjax.core.resources import CONFIGS
-from quadjax.fitting.columns import PLAIN
 from quadjax.fitting.flight_log import write_log
+from quadjax.fitting.formats import PLAIN
 from quadjax.fitting.simulate import random_residual
 from quadjax.flights import Flight, Signal
 from quadjax.flights.flight import motion_signals

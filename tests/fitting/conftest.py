@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadjax.fitting.columns import PLAIN
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log, write_log
+from quadjax.fitting.formats import PLAIN
 from quadjax.vehicle.vehicle_file import read_vehicle
 
 from .flights import write_flights

@@ -10,10 +10,9 @@ import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.fitting import simulate
-from quadjax.fitting.columns import PAPARAZZI, PLAIN
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import log_of_columns
-from quadjax.fitting.log_formats import FORMATS
+from quadjax.fitting.formats import FORMATS, PAPARAZZI, PLAIN
 from quadjax.fitting.simulate import SensorNoise
 
 from .conftest import FLIGHTS

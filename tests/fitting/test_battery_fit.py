@@ -46,7 +46,7 @@ def flight(
             step * np.arange(count),
             rpm + 20.0 * random.normal(size=(count, 4)),
         ),
-        *(command, None, None, nothing, nothing, nothing, np.ones(count, bool), None, None, {}),
+        *(command, None, None, nothing, nothing, nothing, np.ones(count, bool), None, None),
     )
     return log
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.fitting import csv_table
+from quadjax.fitting import log_table
 from quadjax.fitting.config import LogsConfig, UnitsConfig
 from quadjax.fitting.flight_log import log_of_columns, read_log, read_logs, write_log
 from quadjax.fitting.simulate import SensorNoise
@@ -210,7 +210,7 @@ def test_damaged_bytes_are_one_short_line(tmp_path, columns, monkeypatch):
     good = path.read_bytes()
     damaged = [
         b"\xff\xfe\x00\x01" * 100,
-        good + b"1" * 200_000,  # a cell larger than CSV allows
+        good + b"1" * 200_000 + b"\n",  # a cell larger than CSV allows
         good[:1000] + b"\x00" * 2000 + good[1000:],
         good[:5000] + b'"' + good[5000:],
         good.decode().encode("utf-16"),
@@ -222,7 +222,7 @@ def test_damaged_bytes_are_one_short_line(tmp_path, columns, monkeypatch):
             read_log(path, PAPARAZZI)
         assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
     path.write_bytes(good)
-    monkeypatch.setattr(csv_table, "MAX_BYTES", len(good) - 1)
+    monkeypatch.setattr(log_table, "MAX_BYTES", len(good) - 1)
     with pytest.raises(InputError, match="bytes, allowed: up to"):
         read_log(path, PAPARAZZI)
 

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadjax.fitting.columns import paparazzi_columns
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log, write_log
+from quadjax.fitting.formats import paparazzi_columns
 from quadjax.fitting.prepare import flight_rows
 from quadjax.fitting.rate_model import fit_rate_model
 from quadjax.fitting.signals import first_order

@@ -112,7 +112,7 @@ def flown(config, sideways=0.0, name="flight"):
     return FlightLog(
         *(name, "", np.arange(count) / 100.0, np.full((count, 4), 7000.0), None, None, None),
         *(nothing + [1.0, 0.0, 0.0], nothing, nothing - [0.0, 0.0, 9.8], np.ones(count, bool)),
-        *(position, Rotation.identity(count), {}),
+        *(position, Rotation.identity(count)),
     )
 
 

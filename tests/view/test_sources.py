@@ -78,7 +78,6 @@ def log_of(flight):
         flying=np.ones(n, bool),
         position=flight["position"],
         attitude=flight.rotation,
-        columns={},
         rate_command=None,
         thrust_command=None,
     )

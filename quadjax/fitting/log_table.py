@@ -1,0 +1,159 @@
+"""Tables of numbers from CSV files, their times, and their values at other times.
+
+Rows are numbered as in an editor: the first row is row 1.
+"""
+
+import csv
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.core.errors import InputError, reading, short
+from quadjax.core.files import check_file
+
+MAX_BYTES = 2**30  # of one log: hours of flight
+MAX_SETTINGS = 2000  # rows of settings before the header
+
+
+@dataclass(frozen=True)
+class LogTable:
+    """Columns of a log in its own units and frames."""
+
+    columns: Mapping[str, np.ndarray]  # (n,) by name
+    settings: Mapping[str, str] = field(default_factory=dict)  # of the log's head
+    first_row: int | None = None  # row of the first sample in the file; None for no rows
+    cut_row: int | None = None  # the last row of the file, left out: no line break ends it
+
+    def where(self, index: int) -> str:
+        """A sample's place in the file, for messages."""
+        return f"sample {index}" if self.first_row is None else f"row {self.first_row + index}"
+
+
+def read_head(path: Path | str, settings: bool = False) -> tuple[list[str], dict[str, str], int]:
+    """The names of the columns of a CSV file, the settings above them, and the row of the names.
+
+    Args:
+        path: of the file.
+        settings: whether rows of two cells, a setting and its value, precede the names.
+
+    Raises:
+        InputError: not a text file, too large, or an empty row in place of the names.
+    """
+    check_file(path)
+    size = Path(path).stat().st_size
+    if size > MAX_BYTES:
+        raise InputError(f"{path}: {size:,} bytes, allowed: up to {MAX_BYTES:,} for a flight")
+    head: list[list[str]] = []
+    with reading(path), open(path, encoding="utf-8-sig") as stream:
+        for line in stream:
+            head.append(_cells(path, line))
+            if not settings or len(head[-1]) > 2 or len(head) > MAX_SETTINGS:
+                break
+    if not head or not any(head[-1]):
+        last = max(len(head), 1)
+        raise InputError(f"{path}: row {last} is empty, expected the names of the columns")
+    found = {cells[0]: ",".join(cells[1:]).strip() for cells in head[:-1] if any(cells)}
+    return head[-1], found, len(head)
+
+
+def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> LogTable:
+    """Columns of a CSV file by name; the last row is left out if no line break ends it.
+
+    Args:
+        path: of the file.
+        names: of the columns to read.
+        settings: as of ``read_head``.
+
+    Raises:
+        InputError: no such file or column, an empty row, or a cell that is no number.
+    """
+    header, found, start = read_head(path, settings)
+    for name in names:
+        if header.count(name) != 1:
+            problem = "is missing" if name not in header else "is there twice"
+            raise InputError(f"{path}: row {start}, column {name!r} {problem}")
+    places = {name: header.index(name) for name in names}
+    row, line, cut_row = 0, "", None
+
+    def whole_lines() -> Iterator[str]:
+        nonlocal row, line, cut_row
+        empty = 0
+        for row, line in enumerate(stream, 1):
+            if row <= start:
+                continue
+            if not line.endswith("\n"):
+                cut_row = row
+            elif not line.strip():
+                empty = empty or row
+            elif empty:
+                raise InputError(f"{path}: row {empty}, column {header[0]!r} and on is empty")
+            else:
+                beyond = _cells(path, line)[len(header) :] if line.count(",") >= len(header) else []
+                if text := next(filter(None, beyond), ""):
+                    raise InputError(
+                        f"{path}: row {row} continues after the last column, {header[-1]!r}, with "
+                        f"{text!r:.80}"
+                    )
+                yield line
+
+    with reading(path), open(path, encoding="utf-8-sig") as stream, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a file without a row
+        try:
+            options = {"usecols": list(places.values()), "delimiter": ",", "quotechar": '"'}
+            table = np.loadtxt(whole_lines(), comments=None, ndmin=2, **options)
+        except (InputError, UnicodeDecodeError):
+            raise
+        except ValueError as error:
+            raise InputError(f"{path}: row {row}{_fault(path, line, places, error)}") from None
+    columns = table.reshape(-1, len(names)).T
+    return LogTable(dict(zip(names, columns, strict=True)), found, start + 1, cut_row)
+
+
+def _cells(path: Path | str, line: str) -> list[str]:
+    """The cells of a row, without spaces."""
+    try:
+        return [cell.strip() for cell in next(csv.reader([line]), [])]
+    except csv.Error as error:
+        raise InputError(f"{path}: {line[:40]!r} is no row of CSV text ({error})") from None
+
+
+def _fault(path: Path | str, line: str, places: Mapping[str, int], error: ValueError) -> str:
+    """The first cell of a row that is not a number, for a message."""
+    cells = _cells(path, line)
+    for name, place in places.items():
+        if place >= len(cells):
+            return f", column {name!r} is missing: the row has {len(cells)} cells"
+        try:
+            np.float64(cells[place])
+        except ValueError:
+            return f", column {name!r} is {cells[place]!r:.80}, expected a number"
+    return f" is not readable as CSV text ({short(str(error), 200, str)})"
+
+
+def time_fault(time: np.ndarray, longest: float) -> tuple[int, str] | None:
+    """The first sample of times (n,), s, that do not rise in steps up to ``longest``, and why."""
+    steps = np.diff(time)
+    bad = np.flatnonzero((steps <= 0.0) | (steps > longest))
+    if not len(bad):
+        return None if len(steps) else (0, "fewer than two samples")
+    row, step = int(bad[0]) + 1, steps[bad[0]]
+    if step > 0.0:
+        usual = np.median(steps)
+        return row, f"a gap of {step:.3g} s among {usual:.3g} s, allowed: {longest:.3g} s"
+    word = "runs backwards" if step < 0.0 else "stands still"
+    return row, f"time {word}, from {time[row - 1]:.6g} to {time[row]:.6g} s"
+
+
+def interpolated(at: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (m, k) at times (m,) from those (n, k) at times (n,)."""
+    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+
+
+def continuous(quaternion: np.ndarray) -> np.ndarray:
+    """Quaternions (n, 4) with the sign that is nearer to that of the previous one."""
+    turned = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0.0
+    signs = np.cumprod(np.where(turned, -1.0, 1.0), axis=0)
+    return np.concatenate([quaternion[:1], quaternion[1:] * signs[:, None]])
