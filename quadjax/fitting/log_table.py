@@ -102,8 +102,14 @@ def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> 
     with reading(path), open(path, encoding="utf-8-sig") as stream, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a file without a row
         try:
-            options = {"usecols": list(places.values()), "delimiter": ",", "quotechar": '"'}
-            table = np.loadtxt(whole_lines(), comments=None, ndmin=2, **options)
+            table = np.loadtxt(
+                whole_lines(),
+                comments=None,
+                delimiter=",",
+                quotechar='"',
+                usecols=list(places.values()),
+                ndmin=2,
+            )
         except (InputError, UnicodeDecodeError):
             raise
         except ValueError as error:

@@ -260,9 +260,11 @@ def test_topics_of_a_ulog_file_are_checked(short, tmp_path):
 
     gyro = short["gyro"].copy()
     gyro[20, 1] = np.nan
-    refuse(
-        topics | {"vehicle_angular_velocity": (500, {"xyz": gyro})}, r"sample 20, column 'xyz\[1"
-    )
+    damaged = {"vehicle_angular_velocity": (500, {"xyz": gyro})}
+    refuse(topics | damaged, r"sample 20, column 'xyz.1.' is nan, expected a finite number")
+    quaternion = short["quaternion"].copy()
+    quaternion[50:60] = np.nan
+    refuse(topics | {"vehicle_attitude": (250, {"q": quaternion})}, "column 'q.0.' is nan")
     slow = (10, topics["vehicle_attitude"][1])
     refuse(topics | {"vehicle_attitude": slow}, "topic vehicle_attitude, sample .*: a gap of 0.1")
     position = topics["vehicle_local_position"][1]
