@@ -47,6 +47,11 @@ def kind_of(what: str) -> str:
     for kind, shipped in names.items():
         if Path(what).with_suffix("").name in shipped:
             return kind
+    if Path(what).is_dir():
+        raise InputError(
+            f"{what}: is a folder, allowed: a name that quadjax show lists, or a file of a "
+            "config, a track, a vehicle or a policy"
+        )
     hint = close_match(what, [name for shipped in names.values() for name in shipped])
     raise InputError(f"{what}: no such name or file{hint}; quadjax show lists the names")
 

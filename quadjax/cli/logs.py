@@ -51,7 +51,7 @@ def logs(
         output: Folder of the logs.
         flights: Number of logs, of each policy.
         seed: Of the first flight.
-        overwrite: Replace files of the same names in a folder that holds no such logs.
+        overwrite: Replace logs of the same names.
         policy: Policy that flies: a file, or a shipped one's name; may be repeated.
         race: Race of the policies.
         residual: A residual file (.npz) of the drone.
@@ -72,7 +72,7 @@ def logs(
         opt.refuse("without --random-residual", "thrust_std", "moment_std")
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.core.folders import claim
+        from quadjax.core.folders import results
         from quadjax.evaluation.plants import write_logs
         from quadjax.fitting import simulate
         from quadjax.plant.config import load_plant_config
@@ -85,9 +85,10 @@ def logs(
         drone, names = load_plant_config(plant, overrides), [str(file) for file in policy or ()]
         plans = plan_logs(load_config(race), drone, names, flights, laps)
         files = [f"{name}_*.csv" for name in plans]
-        with claim(output, "logs", files, overwrite), steps() as report:
-            written = write_logs(plans, output, seed, report)
-        wrote(*(f"{log.path}, {log.rows} rows {log.crash}".rstrip() for log in written))
+        with results(output, "logs", files, overwrite) as new, steps() as report:
+            written = write_logs(plans, new, seed, report)
+        for log in written:
+            wrote(f"{output / log.path.name}, {log.rows} rows {log.crash}".rstrip())
         return
     extra = read_residual(residual) if residual else None
     files = ["flight_*.csv"]
@@ -95,9 +96,10 @@ def logs(
         extra = simulate.random_residual(random_residual, thrust_std, moment_std)
         files.append("residual.npz")
     params = VehicleParams(read_vehicle(vehicle).motor, extra)
-    with claim(output, "logs", files, overwrite), steps() as report:
-        wrote(*simulate.write_flights(params, output, flights, seconds, seed, report))
+    with results(output, "logs", files, overwrite) as new, steps() as report:
+        written = simulate.write_flights(params, new, flights, seconds, seed, report)
         if extra is not None and random_residual is not None:
             source = {"random": True, "seed": random_residual}
-            write_residual(output / "residual.npz", extra, source)
-            wrote(output / "residual.npz")
+            write_residual(new / "residual.npz", extra, source)
+            written = [*written, new / "residual.npz"]
+    wrote(*(output / path.name for path in written))

@@ -103,6 +103,8 @@ def kind_of(folder: Path | str) -> str | None:
 
 
 def _a(kind: str | None) -> str:
+    if kind == "logs":
+        return kind
     return f"{'an' if str(kind)[0] in 'aeiou' else 'a'} {kind}"
 
 

@@ -154,3 +154,7 @@ def test_view_says_what_it_simulates(tmp_path, capsys, monkeypatch):
     assert run("view", "e2e", "--race", "e2e", "--output", tmp_path / "a.html") == 2
     lines = capsys.readouterr().err.splitlines()
     assert lines == [f"simulating {PRETRAINED / 'e2e.npz'}", "error: enough"]
+
+
+def test_a_folder_is_not_shown(tmp_path, capsys):
+    assert "is a folder, allowed: a name" in refusal(capsys, "show", tmp_path)

@@ -73,6 +73,9 @@ def test_logs_of_a_known_model_are_fitted_and_compared(tmp_path, monkeypatch, ca
     logs = tmp_path / "logs"
     arguments = ["--random-residual", 5, "--moment-std", 0.005, "--flights", 2, "--seconds", 5]
     assert run("logs", "--output", logs, *arguments) == 0
+    first = (logs / "flight_0.csv").stat().st_mtime_ns
+    assert run("logs", "--output", logs, *arguments) == 2  # earlier logs stay
+    assert (logs / "flight_0.csv").stat().st_mtime_ns == first
     arguments = [
         f"logs.files=[{logs}/*.csv]",
         "figures=false",
