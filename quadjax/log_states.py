@@ -11,7 +11,8 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.flight_log import FlightLog
-from quadjax.fitting.motor_map import NAMES, RPM, settled, with_simulated_speeds
+from quadjax.fitting.motors import MAP, RPM, with_simulated_speeds
+from quadjax.fitting.samples import settled
 from quadjax.flights.flight import Flight, vehicle_signals
 from quadjax.vehicle import estimator
 from quadjax.vehicle.estimator import EstimatorState
@@ -43,8 +44,8 @@ def vehicle_flight(log: FlightLog, model: VehicleModel, params: VehicleParams) -
     if log.position is None or log.attitude is None:
         raise InputError(f"{log.path}: replay needs columns for position and attitude")
     measured, source = log.speeds_measured, {"path": log.path, "measured": log.speeds_measured}
-    if not measured and all(hasattr(params.constants, name) for name in NAMES):
-        motors = np.array([float(getattr(params.constants, name)) for name in NAMES])
+    if not measured and all(hasattr(params.constants, name) for name in MAP):
+        motors = np.array([float(getattr(params.constants, name)) for name in MAP])
         log = dataclasses.replace(with_simulated_speeds(log, motors), speeds_measured=True)
     elif not measured:
         log = dataclasses.replace(log, flying=settled(log))

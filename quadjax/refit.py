@@ -16,13 +16,13 @@ from quadjax.config.race import build_vehicle, choices_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.evaluation.table import Table
+from quadjax.fitting.axes import Prediction, pooled
 from quadjax.fitting.config import FitConfig
 from quadjax.fitting.fit import Fit
 from quadjax.fitting.fit import fit as fit_drone
 from quadjax.fitting.flight_log import FlightLog
-from quadjax.fitting.lag import BatteryFit, fit_battery
+from quadjax.fitting.motors import BatteryFit, fit_battery
 from quadjax.fitting.nominal import AXES, UNITS
-from quadjax.fitting.prediction import pooled, predict
 from quadjax.fitting.report import write_results
 from quadjax.flights.flight import MOTION, Flight, Signal
 from quadjax.flights.gates import crossing_after_end, passages
@@ -192,7 +192,7 @@ def _errors(
     residual = None if present.residual is None else read_residual(present.residual)
     held, samples = pooled(result.held_out), result.samples
     used = held[np.isin(samples.flight[held.rows], flights)]
-    old = predict(
+    old = Prediction.of(
         "present", samples[used.rows], np.ones(len(used.rows), bool), present.motor, residual
     )
     pairs = (old.rmse(old.full), used.rmse(used.full))
@@ -213,7 +213,7 @@ def _speed_errors(
     pairs = []
     for log in commanded:
         others = [other for other in commanded if other is not log]
-        new = fit_battery(others, model.hover, base) if log.name in names else None
+        new = fit_battery(others, model.hover, base)[1] if log.name in names else None
         if new is not None:
             before = old.error(log, present.hover, present.constants["rpm_max"])
             pairs.append((before, new.error(log, model.hover, model.constants["rpm_max"])))

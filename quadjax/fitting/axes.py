@@ -1,15 +1,18 @@
-"""Fit of the constants of forces and moments, axis by axis."""
+"""Fit of the constants of forces and moments, axis by axis, and what a model predicts."""
 
-from typing import TypeVar
+from collections.abc import Sequence
+from typing import Self, TypeVar
 
 import numpy as np
+from flax import struct
 
-from quadjax.core.vectors import Rotors
-from quadjax.fitting.nominal import AXES, EQUATIONS, Constants
-from quadjax.fitting.prepare import Samples
-from quadjax.fitting.regression import Estimate, Linear, half_seconds, solve
+from quadjax.fitting.nominal import AXES, EQUATIONS, Constants, residual_output
+from quadjax.fitting.regression import Estimate, Problem, half_seconds, solve
+from quadjax.fitting.samples import Samples
+from quadjax.fitting.signals import Rows, concatenated
 from quadjax.vehicle.constants import replaced, values_of
 from quadjax.vehicle.racing import RacingConstants
+from quadjax.vehicle.residual import Residual
 
 Fitted = TypeVar("Fitted", bound=Constants)
 ROTORS = "1234"  # ends of the names of a constant of each rotor
@@ -22,30 +25,29 @@ def fit_axes(samples: Samples, base: Constants) -> list[Estimate]:
         samples: see ``prepare``, of the same model.
         base: values of constants without evidence; their type selects the model.
     """
-    blocks = half_seconds(samples.time, samples.flight)
-    return [fit_axis(axis, samples, blocks, base) for axis in EQUATIONS[type(base)].constants]
+    equations, values = EQUATIONS[type(base)], values_of(base)
+    numbers = np.unique(samples.flight)
+    blocks = half_seconds([samples.time[samples.flight == number] for number in numbers])
+    return [
+        solve(
+            Problem(
+                group=axis,
+                names=names,
+                base=np.array([float(values[name]) for name in names]),
+                measured=samples.measured[:, AXES.index(axis)],
+                blocks=blocks,
+                positive=[name for name in names if name not in equations.either_sign],
+                small=equations.small,
+                uncertain=equations.uncertain,
+                columns=samples.regressors[axis],
+                noise=samples.noise[axis],
+            )
+        )
+        for axis, names in equations.constants.items()
+    ]
 
 
-def fit_axis(axis: str, samples: Samples, blocks: np.ndarray, base: Constants) -> Estimate:
-    """Fit one axis; see ``fit_axes``."""
-    equations = EQUATIONS[type(base)]
-    names, known = equations.constants[axis], values_of(base)
-    problem = Linear(
-        group=axis,
-        names=names,
-        base=np.array([float(known[name]) for name in names]),
-        measured=samples.measured[:, AXES.index(axis)],
-        blocks=blocks,
-        positive=(*equations.driving, *equations.small),
-        small=equations.small,
-        uncertain=equations.uncertain,
-        columns=samples.regressors[axis],
-        noise=samples.noise[axis],
-    )
-    return solve(problem)
-
-
-def with_estimates(base: Fitted, estimates: list[Estimate]) -> Fitted:
+def with_estimates(base: Fitted, estimates: Sequence[Estimate]) -> Fitted:
     """The base vehicle's constants with the fitted ones replaced."""
     fitted = {name: x for estimate in estimates for name, x in estimate.constants.items()}
     return replaced(base, fitted)
@@ -67,7 +69,7 @@ def with_common(samples: Samples, base: RacingConstants) -> RacingConstants:
     They are the values of rotors that the logs do not tell apart. Common values that are not above
     zero are not used.
     """
-    common = {}
+    common: dict[str, float] = {}
     for axis, names in EQUATIONS[RacingConstants].constants.items():
         stems = list(dict.fromkeys(name.rstrip(ROTORS) for name in names))
         if len(stems) == len(names):
@@ -78,5 +80,48 @@ def with_common(samples: Samples, base: RacingConstants) -> RacingConstants:
         columns, target = columns - columns.mean(axis=0), samples.measured[:, AXES.index(axis)]
         size = np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-12)
         values = np.linalg.lstsq(columns / size, target - target.mean(), rcond=1e-6)[0] / size
-        common |= {s: Rotors.same(float(x)) for s, x in zip(stems, values, strict=True) if x > 0.0}
-    return base.replace(**common)
+        for stem, value in zip(stems, values, strict=True):
+            common |= {f"{stem}{rotor}": float(value) for rotor in ROTORS if value > 0.0}
+    return replaced(base, common)
+
+
+class Prediction(struct.PyTreeNode, Rows):
+    """What was measured and what a model predicts on some rows; columns as ``AXES``."""
+
+    name: str = struct.field(pytree_node=False)  # of the rows
+    rows: np.ndarray  # (n,) index into the samples
+    measured: np.ndarray  # (n, 6)
+    nominal: np.ndarray  # (n, 6)
+    full: np.ndarray  # (n, 6) nominal plus residual
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        samples: Samples,
+        mask: np.ndarray,
+        constants: Constants,
+        residual: Residual | None = None,
+    ) -> Self:
+        """Predictions of a model on the rows of a mask (n,) bool."""
+        rows = np.flatnonzero(mask)
+        part = samples[rows]
+        nominal = part.measured - nominal_error(part, constants)
+        full = nominal.copy()
+        if residual is not None:
+            full[:, 2:] += residual_output(residual, part.motion)
+        return cls(name, rows, part.measured, nominal, full)
+
+    def rmse(self, modeled: np.ndarray) -> np.ndarray:
+        """Root mean square error (6,)."""
+        return np.sqrt(((self.measured - modeled) ** 2).mean(axis=0))
+
+    @property
+    def change(self) -> np.ndarray:
+        """Relative change (6,) of the root mean square error due to the residual."""
+        return self.rmse(self.full) / np.maximum(self.rmse(self.nominal), 1e-300) - 1.0
+
+
+def pooled(predictions: Sequence[Prediction]) -> Prediction:
+    """The rows of several predictions."""
+    return concatenated([part.replace(name="all") for part in predictions])

@@ -123,12 +123,6 @@ class BodyConfig(Section):
         return self
 
 
-class PrepareConfig(Section):
-    """Filtering of the logs."""
-
-    cutoff: Positive = Field(16.0, description="Hz, zero-phase second-order Butterworth")
-
-
 class NominalConfig(Section):
     """The nominal model."""
 
@@ -153,7 +147,6 @@ class SplitConfig(Section):
         0.3, gt=0.0, lt=0.9, description="by time: the last part of each flight, not fitted"
     )
     folds: int = Field(5, ge=2, le=1000, description="largest number of groups or blocks")
-    leave_one_out: bool = Field(True, description="repeat the fit without each flight")
 
 
 class ResidualConfig(Section):
@@ -166,7 +159,6 @@ class ResidualConfig(Section):
     max_harm: NonNegative = Field(
         0.1, description="largest relative increase of any held-out fold's error"
     )
-    distill_epochs: int = Field(120, ge=1, le=10**5, description="of the exported network")
 
 
 class FitConfig(Section):
@@ -178,7 +170,6 @@ class FitConfig(Section):
     figures: bool = Field(True, description="draw figures")
     logs: LogsConfig = LogsConfig()
     body: BodyConfig = BodyConfig()
-    prepare: PrepareConfig = PrepareConfig()
     nominal: NominalConfig = NominalConfig()
     split: SplitConfig = SplitConfig()
     residual: ResidualConfig = ResidualConfig()

@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from quadjax.core.plotting import INK, SERIES, head, new_figure, save_figure, tidy
+from quadjax.fitting.axes import Prediction, pooled
 from quadjax.fitting.fit import Fit
 from quadjax.fitting.nominal import AXES, units
-from quadjax.fitting.prediction import Prediction, pooled
-from quadjax.fitting.split import ALL
+from quadjax.fitting.samples import ALL
 
 COLORS = {"nominal": SERIES[3], "nominal + residual": SERIES[0]}
 POINTS = 1500  # of a line, at most
@@ -66,10 +66,8 @@ def traces_figure(result: Fit, part: Prediction, title: str = "") -> Figure:
 
 
 def errors_figure(result: Fit) -> Figure:
-    """Histograms of both models' errors on training rows and, if any, on held-out rows."""
-    sets = {"training": result.training}
-    if result.held_out:
-        sets["held out"] = pooled(result.held_out)
+    """Histograms of both models' errors on training rows and on held-out rows."""
+    sets = {"training": result.training, "held out": pooled(result.held_out)}
     figure = new_figure(16, 3.2 * len(sets))
     panels = figure.subplots(len(sets), len(AXES), squeeze=False)
     for row, (title, part) in zip(panels, sets.items(), strict=True):

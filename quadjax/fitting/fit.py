@@ -1,28 +1,40 @@
 """A complete fit: logs in; constants, residual networks and errors on held-out flights out."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
+from quadjax.fitting.axes import (
+    Prediction,
+    fit_axes,
+    nominal_error,
+    with_common,
+    with_estimates,
+)
 from quadjax.fitting.config import BodyConfig, FitConfig, ResidualConfig
 from quadjax.fitting.flight_log import FlightLog, highest_speed, read_logs
-from quadjax.fitting.lag import BatteryFit, fit_motor_lag
-from quadjax.fitting.motor_map import RPM
-from quadjax.fitting.nominal import Constants
-from quadjax.fitting.nominal_fits import MotorFits, NominalFits, RacingFits
-from quadjax.fitting.prediction import Prediction, predict
-from quadjax.fitting.prepare import Samples, flight_rows
-from quadjax.fitting.rate_model import fit_rate_model
+from quadjax.fitting.motors import (
+    RPM,
+    BatteryFit,
+    fit_battery,
+    fit_motors,
+    fit_rate_model,
+    with_simulated_speeds,
+)
+from quadjax.fitting.nominal import AXES, EQUATIONS, Constants
 from quadjax.fitting.regression import Estimate, check_signs
-from quadjax.fitting.residual_fit import ResidualFit, fit_residuals, zero_residual
-from quadjax.fitting.split import ALL, LeftOut, Split, make_split
+from quadjax.fitting.residual import ResidualFit, fit_residuals, zero_residual
+from quadjax.fitting.samples import ALL, LeftOut, Samples, Split, airborne, make_split, prepare
 from quadjax.vehicle.battery import BatteryConfig
-from quadjax.vehicle.constants import values_of
+from quadjax.vehicle.constants import replaced, values_of
+from quadjax.vehicle.motor import MotorConstants
+from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
 
 Report = Callable[[str], None]
@@ -57,7 +69,7 @@ class Fit:
     samples: Samples
     split: Split
     estimates: list[Estimate]
-    constants: dict[LeftOut, Constants]
+    constants: Mapping[LeftOut, Constants]
     residuals: dict[LeftOut, ResidualFit]
     training: Prediction
     held_out: list[Prediction]
@@ -98,35 +110,27 @@ def fit(
     logs = read_logs(config.logs, folder, report)
     _check_speeds(config, logs, model)
     report("preparing the samples")
-    rows = flight_rows(logs, config.logs.min_seconds)
-    split = _split(config, logs, rows)
+    rows = [airborne(log, config.logs.min_seconds) for log in logs]
+    times = [log.time[used] - log.time[0] for log, used in zip(logs, rows, strict=True)]
+    split = make_split(times, [log.name for log in logs], config.split)
     check_keys(config, model, split)
     report("fitting the constants")
-    fits: NominalFits
-    if model == "racing":
-        fits = RacingFits(config, logs, rows, split, base.racing)
-    else:
-        fits = MotorFits(config, logs, rows, split, base.motor)
+    fits = NominalFits(config, logs, rows, split, base.constants(model))
+    if model == "motor":
         base = _with_rpm_range(base, config.body, logs, fits.samples())
         fits.base = base.motor
     check_signs(fits.estimates())
-    complete = split.complete(config.split.leave_one_out)
-    constants = {left_out: fits.constants(left_out) for left_out in complete}
-    residuals: dict[LeftOut, ResidualFit] = {}
-    others, limit = [], None
-    if isinstance(fits, MotorFits):
-        residuals = _residuals(config, fits, complete, report)
-        others, limit = _lags(fits, base, battery)
+    constants = {left_out: fits.constants(left_out) for left_out in split.complete()}
+    residuals = _residuals(config, fits, report)
+    others, limit = _lags(fits, base, battery)
     estimates = [*fits.estimates(), *others]
+    kept, samples = fits.harmful(), fits.samples()
 
     def predicted(name: str, mask: np.ndarray, left_out: LeftOut) -> Prediction:
         residual = residuals[left_out].residual if residuals else None
-        return predict(name, fits.samples(left_out), mask, constants[left_out], residual)
+        return Prediction.of(name, fits.samples(left_out), mask, constants[left_out], residual)
 
-    samples = fits.samples()
-    names = [log.name for log in logs]
-    parts = split.held_out(samples.flight, names, config.split.leave_one_out)
-    kept = fits.harmful()
+    parts = split.held_out(samples.flight, [log.name for log in logs])
     return Fit(
         config=config,
         logs=logs,
@@ -145,6 +149,97 @@ def fit(
     )
 
 
+class NominalFits:
+    """The constants of a model, fitted without some folds; each fit is computed once.
+
+    ``motor``: an axis keeps the base vehicle's constants where they are better. Whether they are is
+    decided on the folds that are not left out, each by a fit without it, too. ``racing``: motors
+    are fitted first; their speeds are used where logs have none.
+    """
+
+    def __init__(
+        self,
+        config: FitConfig,
+        logs: Sequence[FlightLog],
+        rows: Sequence[np.ndarray],
+        split: Split,
+        base: MotorConstants | RacingConstants,
+    ) -> None:
+        """Flights, the rows (n,) bool of each that are in flight, their split, and the base."""
+        self.config, self.logs, self.rows, self.split = config, logs, rows, split
+        self.base = base
+        self._fits: dict[LeftOut, tuple[Samples, list[Estimate]]] = {}
+        self._measured = all(log.speeds_measured for log in logs)
+
+    def samples(self, left_out: LeftOut = ALL) -> Samples:
+        """Every row; nothing in them is computed from the folds left out."""
+        return self._fit(left_out)[0]
+
+    def estimates(self, left_out: LeftOut = ALL) -> list[Estimate]:
+        """The constants that are fitted without some folds, with their errors."""
+        return self._fit(left_out)[1]
+
+    def masks(self, left_out: LeftOut = ALL) -> list[np.ndarray]:
+        """The rows (n,) bool of each flight that are in flight and not left out."""
+        ends = np.cumsum([int(rows.sum()) for rows in self.rows])[:-1]
+        masks = [rows.copy() for rows in self.rows]
+        parts = np.split(self.split.learned(left_out), ends)
+        for mask, learned in zip(masks, parts, strict=True):
+            mask[mask] = learned
+        return masks
+
+    def _fit(self, left_out: LeftOut) -> tuple[Samples, list[Estimate]]:
+        if left_out in self._fits:
+            return self._fits[left_out]
+        base, motors, logs = self.base, [], self.logs
+        if isinstance(base, RacingConstants):
+            motors = [fit_motors(logs, self.masks(left_out), base)]
+            logs = [with_simulated_speeds(log, motors[0].values) for log in logs]
+        if self._measured and self._fits:
+            samples = next(iter(self._fits.values()))[0]
+        else:
+            samples = prepare(logs, base, self.rows)
+        learned = samples[self.split.learned(left_out)]
+        if isinstance(base, RacingConstants):
+            base = with_common(learned, base)
+        axes = [fit for fit in fit_axes(learned, base) if fit.group in self.config.nominal.axes]
+        self._fits[left_out] = samples, [*axes, *motors]
+        return self._fits[left_out]
+
+    def _fitted(self, left_out: LeftOut) -> MotorConstants | RacingConstants:
+        if not self.config.nominal.fit:
+            return self.base
+        return with_estimates(self.base, self.estimates(left_out))
+
+    def harmful(self, left_out: LeftOut = ALL) -> dict[str, str]:
+        """A line for each axis on which the base vehicle's constants are kept."""
+        lines: dict[str, str] = {}
+        folds = self.split.inner(left_out)
+        racing = isinstance(self.base, RacingConstants)
+        if len(folds) < 2 or not self.config.nominal.fit or racing:
+            return lines
+        for fold in folds:
+            part = self.samples()[self.split.fold == fold]
+            fitted, kept = (
+                np.sqrt((nominal_error(part, constants) ** 2).mean(axis=0))
+                for constants in (self._fitted(left_out | {fold}), self.base)
+            )
+            changes = fitted / np.maximum(kept, 1e-300) - 1.0
+            for axis, change in zip(AXES, changes, strict=True):
+                if change > self.config.residual.max_harm:
+                    lines[axis] = (
+                        f"{axis}: the base vehicle's constants are kept: those fitted without "
+                        f"{self.split.names[fold]} have a {100.0 * change:.0f}% larger error on it"
+                    )
+        return lines
+
+    def constants(self, left_out: LeftOut = ALL) -> MotorConstants | RacingConstants:
+        """The constants fitted without some folds."""
+        of_axis, base = EQUATIONS[type(self.base)].constants, values_of(self.base)
+        names = [name for axis in self.harmful(left_out) for name in of_axis[axis]]
+        return replaced(self._fitted(left_out), {name: base[name] for name in names})
+
+
 def with_body(base: VehicleFile, body: BodyConfig, model: str = "motor") -> VehicleFile:
     """The base vehicle with the config's name, mass, inertia and rpm range.
 
@@ -156,11 +251,10 @@ def with_body(base: VehicleFile, body: BodyConfig, model: str = "motor") -> Vehi
     values = dict(values_of(base.constants(model)))
     same = model == "racing" or body.inertia == "base"
     if body.rpm_range is not None:
-        low, high = body.rpm_range
-        if model == "racing":
-            values |= {"w_min": low / RPM, "w_max": high / RPM}
-        else:
-            values |= {"rpm_min": low, "rpm_max": high}
+        names, unit = (
+            (("w_min", "w_max"), RPM) if model == "racing" else (("rpm_min", "rpm_max"), 1)
+        )
+        values |= {name: rpm / unit for name, rpm in zip(names, body.rpm_range, strict=True)}
     if not same:
         if body.inertia is None:
             raise InputError(
@@ -182,9 +276,7 @@ def check_keys(config: FitConfig, model: str, split: Split) -> None:
     """
     reasons: dict[str, str] = {}
     training = [f"residual.{name}" for name in ResidualConfig.model_fields if name != "fit"]
-    if split.by == "time":
-        reasons["split.leave_one_out"] = "by time the last parts alone are held out"
-    else:
+    if split.by == "flight":
         reasons["split.test_fraction"] = "whole flights are held out"
     if not config.nominal.fit:
         reasons["nominal.axes"] = "nominal.fit=false fits no constant"
@@ -231,12 +323,6 @@ def _check_speeds(config: FitConfig, logs: list[FlightLog], model: str) -> None:
             )
 
 
-def _split(config: FitConfig, logs: list[FlightLog], rows: list[np.ndarray]) -> Split:
-    flight = np.repeat(np.arange(len(logs)), [int(used.sum()) for used in rows])
-    times = [log.time[used] - log.time[0] for log, used in zip(logs, rows, strict=True)]
-    return make_split(flight, np.concatenate(times), [log.name for log in logs], config.split)
-
-
 def _with_rpm_range(
     base: VehicleFile, body: BodyConfig, logs: list[FlightLog], samples: Samples
 ) -> VehicleFile:
@@ -249,37 +335,37 @@ def _with_rpm_range(
     return base.with_constants("motor", base.motor.replace(rpm_min=max(low, 0.0), rpm_max=high))
 
 
-def _residuals(
-    config: FitConfig, fits: MotorFits, complete: list[LeftOut], report: Report
-) -> dict[LeftOut, ResidualFit]:
+def _residuals(config: FitConfig, fits: NominalFits, report: Report) -> dict[LeftOut, ResidualFit]:
+    """Those of each complete fit; empty for a model without a residual."""
+    if isinstance(fits.base, RacingConstants):
+        return {}
     if not config.residual.fit:
-        return dict.fromkeys(complete, zero_residual(fits.base))
-    samples, split = fits.samples(), fits.split
-    options = (complete, config.residual, config.seed, report)
-    return fit_residuals(samples, split, fits.base, fits.constants, *options)
+        return dict.fromkeys(fits.split.complete(), zero_residual(fits.base))
+    options = fits.constants, config.residual, config.seed, report
+    return fit_residuals(fits.samples(), fits.split, fits.base, *options)
 
 
 def _lags(
-    fits: MotorFits, base: VehicleFile, battery: BatteryConfig
+    fits: NominalFits, base: VehicleFile, battery: BatteryConfig
 ) -> tuple[list[Estimate], BatteryFit | None]:
     """The motors' lag with the battery's limit, and the rate-and-thrust model."""
-    logs, rows = fits.logs, fits.masks()
     constants = fits.constants()
+    if isinstance(constants, RacingConstants):
+        return [], None
+    logs, rows = fits.logs, fits.masks()
     hover = float(np.sqrt(constants.g / (4.0 * constants.k_w)))
-    lag, limit = fit_motor_lag(logs, rows, float(fits.base.tau), hover, battery)
-    rate = []
-    if "rate" in base.models:
-        rate = fit_rate_model(logs, rows, base.constants("rate"), fits.config.prepare.cutoff)
-    return [lag, *rate], limit
+    lag, limit = fit_battery(logs, hover, battery, rows, float(constants.tau))
+    rate: Any = base.constants("rate") if "rate" in base.models else None
+    return [lag, *(fit_rate_model(logs, rows, rate) if rate else ())], limit
 
 
 def _fitted(
     base: VehicleFile,
     model: str,
     constants: Constants,
-    others: list[Estimate],
+    others: Sequence[Estimate],
     config: FitConfig,
-    logs: list[FlightLog],
+    logs: Sequence[FlightLog],
 ) -> VehicleFile:
     """The base vehicle with fitted constants; its ``fitted_speed`` is that of the flights."""
     if not config.nominal.fit:
@@ -296,7 +382,9 @@ def _fitted(
     return replace(vehicle, fitted_speed=highest_speed(fitted))
 
 
-def _warnings(config: FitConfig, logs: list[FlightLog], estimates: list[Estimate]) -> Iterator[str]:
+def _warnings(
+    config: FitConfig, logs: Sequence[FlightLog], estimates: Sequence[Estimate]
+) -> Iterator[str]:
     for estimate in estimates:
         yield from estimate.warnings
     scaled = any(log.rpm_command is not None or log.motor_command is not None for log in logs)

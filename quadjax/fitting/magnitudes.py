@@ -42,7 +42,7 @@ class Recording:
         mode = self.quantities.get("mode")
         if mode is not None and (mode > 0).any():
             return mode > 0
-        speeds = self.quantities.get("rpm", self.quantities.get("motor_command"))
+        speeds = self.quantities["rpm" if "rpm" in self.quantities else "motor_command"]
         mean = np.abs(speeds).mean(axis=1)
         return mean >= 0.5 * np.median(mean)
 

@@ -16,14 +16,16 @@ from quadjax.fitting.identities import BAND as MOTION
 from quadjax.fitting.identities import Signals, derivative
 from quadjax.fitting.nominal import ModelInputs, nominal
 from quadjax.fitting.signals import first_order
-from quadjax.vehicle.constants import constant_names
+from quadjax.vehicle.constants import constant_names, from_values
 from quadjax.vehicle.motor import MotorConstants
 
 BAND = (1.0, 16.0)  # Hz
 LAG = 0.05  # s, typical of rotors that follow their commands
 TYPICAL = (2500.0, 35_000.0)  # rpm, of a racing drone's motors at commands 0 and 1
 # Signs (3, 4) of roll, pitch and yaw of motors 1 to 4, by the nominal model.
-ONE = MotorConstants(**dict.fromkeys(constant_names(MotorConstants), 1.0))
+ONE: MotorConstants = from_values(
+    MotorConstants, dict.fromkeys(constant_names(MotorConstants), 1.0)
+)
 MIXER = nominal(ONE, ModelInputs(np.eye(4), *(np.zeros((4, k)) for k in (4, 3, 3))))[:, 3:].T
 
 

@@ -8,22 +8,23 @@ the inertia (motor) or angular accelerations (racing).
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
-import jax
 import numpy as np
 from flax import struct
 
+from quadjax.core.mlp import Layers
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.signals import Rows
 from quadjax.vehicle import motor, racing
-from quadjax.vehicle.constants import constant_names, replaced, rotor_names
+from quadjax.vehicle.constants import constant_names, from_values, replaced, rotor_names, values_of
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.rate import RateConstants
-from quadjax.vehicle.residual import Layers, Residual
+from quadjax.vehicle.residual import Residual
 
 Constants = MotorConstants | RacingConstants | RateConstants
-ForceMoment = Callable[[Constants, Rotors, Rotors, Vec3, Vec3], tuple[Vec3, Vec3]]
+ForceMoment = Callable[[Any, Rotors, Rotors, Vec3, Vec3], tuple[Vec3, Vec3]]
 AXES = ("ax", "ay", "az", "Mx", "My", "Mz")
 UNITS = dict.fromkeys(AXES[:3], "m/s^2") | dict.fromkeys(AXES[3:], "N m")  # of motor
 CONSTANTS: dict[str, tuple[str, ...]] = {
@@ -34,6 +35,10 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
     "My": ("k_q", "k_qv"),
     "Mz": ("k_r1", "k_r2", "k_rr"),
 }
+RACING_CONSTANTS = CONSTANTS | {
+    **{"az": ("k_w",), "Mx": rotor_names("k_p"), "My": rotor_names("k_q")},
+    "Mz": (*rotor_names("k_r"), *rotor_names("k_rd")),
+}
 
 
 @dataclass(frozen=True)
@@ -41,20 +46,20 @@ class Equations:
     """The equations of a model that is linear in its constants.
 
     Attributes:
-        constants: names by axis.
-        driving: constants that are positive on every drone.
-        small: constants that are positive, but may absorb what the model lacks.
+        constants: names by axis; positive on every drone, except for those of either sign.
+        small: names of those that may absorb what the model lacks.
         force_moment: of constants, rpm, their derivatives, body velocity and rates.
+        either_sign: names of constants that may be negative.
         has_inertia: whether the moments are N m, else rad/s^2.
         uncertain: relative standard error above which a constant has a warning.
     """
 
     constants: dict[str, tuple[str, ...]]
-    driving: tuple[str, ...]
     small: tuple[str, ...]
     force_moment: ForceMoment
-    has_inertia: bool
-    uncertain: float
+    either_sign: tuple[str, ...] = ()
+    has_inertia: bool = False
+    uncertain: float = 0.05
 
 
 def _motor(
@@ -81,41 +86,11 @@ def _rate(
 
 
 EQUATIONS: dict[type, Equations] = {
-    RateConstants: Equations(
-        {"ax": ("d_x",), "ay": ("d_y",)},
-        driving=(),
-        small=("d_x", "d_y"),
-        force_moment=_rate,
-        has_inertia=False,
-        uncertain=0.05,
-    ),
+    RateConstants: Equations({"ax": ("d_x",), "ay": ("d_y",)}, ("d_x", "d_y"), _rate),
     MotorConstants: Equations(
-        CONSTANTS,
-        driving=("k_x", "k_y", "k_w", "k_p", "k_q", "k_r1", "k_r2"),
-        small=("k_z", "k_h", "k_rr"),
-        force_moment=_motor,
-        has_inertia=True,
-        uncertain=0.05,
+        CONSTANTS, ("k_z", "k_h", "k_rr"), _motor, either_sign=("k_pv", "k_qv"), has_inertia=True
     ),
-    RacingConstants: Equations(
-        {
-            **{"ax": ("k_x",), "ay": ("k_y",), "az": ("k_w",)},
-            **{"Mx": rotor_names("k_p"), "My": rotor_names("k_q")},
-            "Mz": (*rotor_names("k_r"), *rotor_names("k_rd")),
-        },
-        driving=(
-            "k_x",
-            "k_y",
-            "k_w",
-            *rotor_names("k_p"),
-            *rotor_names("k_q"),
-            *rotor_names("k_r"),
-        ),
-        small=rotor_names("k_rd"),
-        force_moment=_racing,
-        has_inertia=False,
-        uncertain=0.01,
-    ),
+    RacingConstants: Equations(RACING_CONSTANTS, rotor_names("k_rd"), _racing, uncertain=0.01),
 }
 
 
@@ -125,8 +100,7 @@ def units(kind: type) -> dict[str, str]:
     return UNITS | dict.fromkeys(AXES[3:], moment)
 
 
-@struct.dataclass
-class ModelInputs(Rows):
+class ModelInputs(struct.PyTreeNode, Rows):
     """Inputs of the model, n samples."""
 
     rpm: np.ndarray  # (n, 4) rpm
@@ -137,15 +111,18 @@ class ModelInputs(Rows):
 
 def nominal(constants: Constants, motion: ModelInputs) -> np.ndarray:
     """Specific forces, m/s^2, and moments of the nominal model: (n, 6), as ``AXES``."""
-    constants = jax.tree.map(float, constants)
-    rpm, rpm_rate = Rotors.of(motion.rpm), Rotors.of(motion.rpm_rate)
-    velocity, rates = Vec3.of(motion.body_velocity), Vec3.of(motion.rates)
-    equations = EQUATIONS[type(constants)]
-    parts = equations.force_moment(constants, rpm, rpm_rate, velocity, rates)
+    numbers = {name: float(value) for name, value in values_of(constants).items()}
+    rpm, rpm_rate = Rotors(*motion.rpm.T), Rotors(*motion.rpm_rate.T)
+    velocity, rates = Vec3(*motion.body_velocity.T), Vec3(*motion.rates.T)
+    force_moment = EQUATIONS[type(constants)].force_moment
+    model = from_values(type(constants), numbers)
+    parts = force_moment(model, rpm, rpm_rate, velocity, rates)
     return np.stack([number for part in parts for number in part.components()], axis=1)
 
 
-NO_CONSTANTS = MotorConstants(**dict.fromkeys(constant_names(MotorConstants), 0.0))
+NO_CONSTANTS: MotorConstants = from_values(
+    MotorConstants, dict.fromkeys(constant_names(MotorConstants), 0.0)
+)
 
 
 def regressors(motion: ModelInputs, constants: Constants = NO_CONSTANTS) -> dict[str, np.ndarray]:
@@ -164,6 +141,22 @@ def regressors(motion: ModelInputs, constants: Constants = NO_CONSTANTS) -> dict
         )
         for axis, names in axes.items()
     }
+
+
+def angular_moment(
+    constants: Constants, rates: np.ndarray, rate_derivative: np.ndarray
+) -> np.ndarray:
+    """Total moment ``I Omega' + Omega x I Omega``, N m, or ``Omega'``, rad/s^2: (n, 3).
+
+    Args:
+        constants: with the inertia, kg m^2, if the model has one.
+        rates: body rates (n, 3), rad/s.
+        rate_derivative: their derivatives (n, 3), rad/s^2.
+    """
+    if not EQUATIONS[type(constants)].has_inertia:
+        return rate_derivative
+    inertia = np.array([float(getattr(constants, name)) for name in ("i_xx", "i_yy", "i_zz")])
+    return inertia * rate_derivative + np.cross(rates, inertia * rates)
 
 
 def file_inputs(motion: ModelInputs, rpm_range: tuple[float, float]) -> np.ndarray:
@@ -186,19 +179,3 @@ def evaluate(layers: Layers, inputs: np.ndarray) -> np.ndarray:
         inputs = np.maximum(inputs @ np.float64(kernel) + np.float64(bias), 0.0)
     kernel, bias = layers[-1]
     return inputs @ np.float64(kernel) + np.float64(bias)
-
-
-def angular_moment(
-    constants: Constants, rates: np.ndarray, rate_derivative: np.ndarray
-) -> np.ndarray:
-    """Total moment ``I Omega' + Omega x I Omega``, N m, or ``Omega'``, rad/s^2: (n, 3).
-
-    Args:
-        constants: with the inertia, kg m^2, if the model has one.
-        rates: body rates (n, 3), rad/s.
-        rate_derivative: their derivatives (n, 3), rad/s^2.
-    """
-    if not EQUATIONS[type(constants)].has_inertia:
-        return rate_derivative
-    inertia = np.array([float(getattr(constants, name)) for name in ("i_xx", "i_yy", "i_zz")])
-    return inertia * rate_derivative + np.cross(rates, inertia * rates)

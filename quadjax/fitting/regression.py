@@ -12,6 +12,7 @@ search. All of a problem keep it that explain too little of the signal.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -67,9 +68,8 @@ class Estimate:
         return dict(zip(self.names, map(float, self.standard_errors), strict=True))
 
 
-@dataclass(frozen=True)
-class Minimum:
-    """The solution for the free parameters of a problem, f of them, in units of ``size``."""
+class Minimum(NamedTuple):
+    """The solution for f free parameters, in units of ``size``."""
 
     values: np.ndarray  # (f,)
     size: np.ndarray  # (f,)
@@ -82,12 +82,23 @@ class Minimum:
 class Problem:
     """Parameters, and the signal that they have to explain.
 
+    A linear problem has columns and their noise; its signal is the sum of parameters times columns.
+    Noise in a column adds to the diagonal of the normal equations and biases its parameter towards
+    zero; that part is subtracted (bias-compensated least squares). Any other problem has a model,
+    and limits of the search for its parameters, which starts from the base values.
+
     Attributes:
         group: that the parameters belong to: an axis, or what they describe.
         names: of the k parameters.
         base: (k,) their values without evidence.
         measured: (n,) or (n, m) signal.
         blocks: (n,) index of the half second of one flight; see ``half_seconds``.
+        columns: (n, k) of a linear problem.
+        noise: (n, k) change of the columns by added noise; see ``prepare``.
+        model: parameters (k,) -> what they give, of the shape of the signal.
+        search: (3, k) lowest, highest and typical values of the parameters of a model.
+        physical: names of parameters whose limits are properties of the model, not of the search.
+        fixed: names of parameters that the signal does not determine.
         positive: names of those that cannot be below zero.
         small: names of those of them that may absorb what the model lacks, so that even a value
             significantly below zero does not mean that a column of the log is wrong.
@@ -100,6 +111,12 @@ class Problem:
     base: np.ndarray
     measured: np.ndarray
     blocks: np.ndarray
+    columns: np.ndarray | None = None
+    noise: np.ndarray | None = None
+    model: Callable[[np.ndarray], np.ndarray] | None = None
+    search: np.ndarray | None = None
+    physical: Sequence[str] = ()
+    fixed: Sequence[str] = ()
     positive: Sequence[str] = ()
     small: Sequence[str] = ()
     uncertain: float = 0.05
@@ -107,169 +124,53 @@ class Problem:
 
     def modeled(self, values: np.ndarray) -> np.ndarray:
         """What parameters (k,) give, of the shape of the signal."""
-        raise NotImplementedError
-
-    def determined(self) -> np.ndarray:
-        """Parameters (k,) bool that the signal can determine."""
-        return np.ones(len(self.names), bool)
-
-    def minimum(self, free: np.ndarray) -> Minimum:
-        """The best values of the free parameters (k,) bool; the others have their base values."""
-        raise NotImplementedError
-
-    def at_limit(self, values: np.ndarray) -> np.ndarray:
-        """Parameters (k,) bool at a limit of the search, beyond which they could be as well."""
-        return np.zeros(len(values), bool)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Linear(Problem):
-    """A signal (n,) that is a sum of parameters times columns.
-
-    Noise in a column adds to the diagonal of the normal equations and biases its parameter towards
-    zero; that part is subtracted (bias-compensated least squares).
-
-    Attributes:
-        columns: (n, k).
-        noise: (n, k) change of the columns by added noise; see ``prepare``.
-    """
-
-    columns: np.ndarray
-    noise: np.ndarray
-
-    def modeled(self, values: np.ndarray) -> np.ndarray:
-        """The sum (n,)."""
-        return self.columns @ values
-
-    def determined(self) -> np.ndarray:
-        """Columns that are neither zero nor a combination of those before them."""
-        size = np.sqrt((self.columns**2).mean(axis=0))
-        found = np.zeros(len(size), bool)
-        for index in np.flatnonzero(size > 1e-12):
-            trial = found.copy()
-            trial[index] = True
-            found[index] = np.linalg.cond(self.columns[:, trial] / size[trial]) < CONDITION
-        return found
-
-    def minimum(self, free: np.ndarray) -> Minimum:
-        """The solution of the normal equations."""
-        size = np.sqrt((self.columns[:, free] ** 2).mean(axis=0))
-        columns, noise = self.columns[:, free] / size, self.noise[:, free] / size
-        remainder = self.measured - self.columns[:, ~free] @ self.base[~free]
-        gram, extra = columns.T @ columns, noise.T @ noise
-        largest = float((np.diag(extra) / np.diag(gram)).max())
-        extra *= min(1.0, LARGEST_CORRECTION / max(largest, 1e-12))
-        bread = np.linalg.inv(gram - extra)
-        return Minimum(bread @ (columns.T @ remainder), 1.0 / size, columns, bread)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Search(Problem):
-    """A nonlinear problem, solved from the base values within limits.
-
-    Attributes:
-        model: parameters (k,) -> what they give, of the shape of the signal.
-        low: (k,) limits of the search.
-        high: (k,)
-        unit: (k,) sizes of the parameters.
-        physical: names of parameters whose limits are properties of the model, not of the search.
-        fixed: names of parameters that the signal does not determine.
-    """
-
-    model: Callable[[np.ndarray], np.ndarray]
-    low: np.ndarray
-    high: np.ndarray
-    unit: np.ndarray
-    physical: Sequence[str] = ()
-    fixed: Sequence[str] = ()
-
-    def determined(self) -> np.ndarray:
-        """All but the fixed ones."""
-        return np.array([name not in self.fixed for name in self.names])
-
-    def modeled(self, values: np.ndarray) -> np.ndarray:
-        """What the model gives."""
+        if self.columns is not None:
+            return self.columns @ values
+        assert self.model is not None
         return self.model(values)
 
-    def minimum(self, free: np.ndarray) -> Minimum:
-        """The solution of ``scipy.optimize.least_squares``."""
-        unit = self.unit[free]
-        low, high = self.low[free] / unit, self.high[free] / unit
-
-        def error(scaled: np.ndarray) -> np.ndarray:
-            values = self.base.copy()
-            values[free] = scaled * unit
-            return (self.modeled(values) - self.measured).ravel()
-
-        found = least_squares(
-            error,
-            np.clip(self.base[free] / unit, low + 1e-6, high - 1e-6),
-            bounds=(low, high),
-            diff_step=1e-4,
-            xtol=1e-9,
-            ftol=1e-10,
-            max_nfev=MAX_STEPS,
-        )
-        bread = np.linalg.pinv(found.jac.T @ found.jac)
-        return Minimum(found.x, unit, found.jac, bread, bool(found.success))
-
-    def at_limit(self, values: np.ndarray) -> np.ndarray:
-        """Parameters within ``AT_LIMIT`` of their limits."""
-        near = np.isclose(values, self.low, rtol=AT_LIMIT, atol=0.0)
-        near |= np.isclose(values, self.high, rtol=AT_LIMIT, atol=0.0)
-        return near & np.array([name not in self.physical for name in self.names])
+    def mask(self, names: Sequence[str]) -> np.ndarray:
+        """Which parameters (k,) are among the names."""
+        return np.array([name in names for name in self.names])
 
 
 def solve(problem: Problem) -> Estimate:
     """The parameters of a problem, with base values where the logs have no evidence."""
-    free = problem.determined()
-    lines = [
-        _kept(problem, index, "the logs do not determine it") for index in np.flatnonzero(~free)
-    ]
+    free = _determined(problem)
+    kept = dict.fromkeys(np.flatnonzero(~free).tolist(), "the logs do not determine it")
     while True:
-        values, errors, found = problem.base.copy(), np.full(len(free), np.inf), None
+        values, errors, minimum = problem.base.copy(), np.full(len(free), np.inf), None
         if free.any():
-            found = problem.minimum(free)
-            values[free] = found.values * found.size
+            minimum = _linear(problem, free) if problem.model is None else _nonlinear(problem, free)
+            values[free] = minimum.values * minimum.size
             error = (problem.measured - problem.modeled(values)).ravel()
-            errors[free] = _standard_errors(found, error, problem.blocks) * found.size
+            errors[free] = _standard_errors(minimum, error, problem.blocks) * minimum.size
         doubtful = _without_evidence(problem, values, errors)
         if not doubtful:
             break
-        lines += doubtful.values()
+        kept |= doubtful
         free[list(doubtful)] = False
-    explained, rmse = _quality(problem, values)
+    square = (problem.measured - problem.modeled(values)) ** 2
+    spread = float(((problem.measured - problem.measured.mean(axis=0)) ** 2).sum())
+    explained = 1.0 - float(square.sum()) / spread if spread > 0.0 else 0.0
     if free.any() and explained < problem.least_explained:
-        part = f"it explains {max(explained, 0.0):.0%} of the signal in the logs"
-        lines += [_kept(problem, index, part) for index in np.flatnonzero(free)]
+        reason = f"it explains {max(explained, 0.0):.0%} of the signal in the logs"
+        kept |= dict.fromkeys(np.flatnonzero(free).tolist(), reason)
         values, errors = problem.base.copy(), np.full(len(free), np.inf)
-    if explained < LITTLE_EXPLAINED:
-        lines.append(f"{problem.group}: R^2 is {explained:.2f}: the model explains little")
-    with np.errstate(invalid="ignore"):
-        uncertain = np.isfinite(errors) & (errors > problem.uncertain * np.abs(values))
-    lines += [
-        f"{problem.names[i]} ({problem.group}): little excited by the logs, or the model does not "
-        f"fit them: {values[i]:.4g} +- {_percent(errors[i], values[i])}"
-        for i in np.flatnonzero(uncertain)
-    ]
-    converged = found is None or found.converged
-    if not converged:
-        steps = f"the solver stopped after {MAX_STEPS} steps, before it converged"
-        lines.append(f"{problem.group}: {steps}")
     return Estimate(
         group=problem.group,
         names=problem.names,
         values=values,
         standard_errors=errors,
-        condition=np.inf if found is None or not free.all() else _condition(found),
+        condition=np.inf if minimum is None or not free.all() else _condition(minimum.jacobian),
         r_squared=explained,
-        rmse=rmse,
-        warnings=tuple(lines),
+        rmse=float(np.sqrt(square.mean())),
+        warnings=tuple(_warnings(problem, kept, values, errors, explained, minimum)),
         negated=tuple(
             f"{problem.names[i]} = {values[i]:.3g} +- {errors[i]:.2g} ({problem.group})"
             for i in np.flatnonzero(_negated(problem, values, errors))
         ),
-        converged=converged,
+        converged=minimum is None or minimum.converged,
     )
 
 
@@ -295,9 +196,10 @@ def check_signs(estimates: Sequence[Estimate]) -> None:
         )
 
 
-def half_seconds(time: np.ndarray, flight: np.ndarray | int = 0) -> np.ndarray:
-    """Index (n,) of the block of half a second, of times (n,), s, in flights (n,)."""
-    label = flight * 1_000_000 + np.floor(time / BLOCK).astype(int)
+def half_seconds(times: Sequence[np.ndarray]) -> np.ndarray:
+    """Index (n,) of the block of half a second, of the times (n_i,), s, of several flights."""
+    flight = np.repeat(np.arange(len(times)), [len(time) for time in times])
+    label = flight * 1_000_000 + np.floor(np.concatenate(times) / BLOCK).astype(int)
     return np.unique(label, return_inverse=True)[1]
 
 
@@ -307,58 +209,123 @@ def r_squared(measured: np.ndarray, modeled: np.ndarray) -> np.ndarray:
     return 1.0 - ((measured - modeled) ** 2).sum(axis=0) / np.maximum(spread, 1e-300)
 
 
-def _quality(problem: Problem, values: np.ndarray) -> tuple[float, float]:
-    """R^2 over all columns of the signal, and root mean square error."""
-    square = (problem.measured - problem.modeled(values)) ** 2
-    spread = ((problem.measured - problem.measured.mean(axis=0)) ** 2).sum()
-    explained = 1.0 - float(square.sum()) / float(spread) if spread > 0.0 else 0.0
-    return explained, float(np.sqrt(square.mean()))
+def _determined(problem: Problem) -> np.ndarray:
+    """Parameters (k,) bool that are not fixed, with columns that no others combine to."""
+    found = ~problem.mask(problem.fixed)
+    if problem.columns is None:
+        return found
+    size = np.sqrt((problem.columns**2).mean(axis=0))
+    found &= size > 1e-12
+    for index in range(len(found)):
+        first = found & (np.arange(len(found)) <= index)
+        if found[index]:
+            scaled = problem.columns[:, first] / size[first]
+            found[index] = np.linalg.cond(scaled) < CONDITION
+    return found
 
 
-def _standard_errors(found: Minimum, error: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-    """Cluster-robust standard errors (f,), in units of ``found.size``."""
+def _linear(problem: Problem, free: np.ndarray) -> Minimum:
+    """The solution of the normal equations; parameters that are not free have base values."""
+    assert problem.columns is not None and problem.noise is not None
+    size = np.sqrt((problem.columns[:, free] ** 2).mean(axis=0))
+    columns, noise = problem.columns[:, free] / size, problem.noise[:, free] / size
+    remainder = problem.measured - problem.columns[:, ~free] @ problem.base[~free]
+    gram, extra = columns.T @ columns, noise.T @ noise
+    largest = float((np.diag(extra) / np.diag(gram)).max())
+    extra *= min(1.0, LARGEST_CORRECTION / max(largest, 1e-12))
+    bread = np.linalg.inv(gram - extra)
+    return Minimum(bread @ (columns.T @ remainder), 1.0 / size, columns, bread)
+
+
+def _nonlinear(problem: Problem, free: np.ndarray) -> Minimum:
+    """The solution of ``scipy.optimize.least_squares``."""
+    assert problem.search is not None
+    low, high, unit = problem.search[:, free]
+    low, high = low / unit, high / unit
+
+    def error(scaled: np.ndarray) -> np.ndarray:
+        values = problem.base.copy()
+        values[free] = scaled * unit
+        return (problem.modeled(values) - problem.measured).ravel()
+
+    result = least_squares(
+        error,
+        np.clip(problem.base[free] / unit, low + 1e-6, high - 1e-6),
+        bounds=(low, high),
+        diff_step=1e-4,
+        xtol=1e-9,
+        ftol=1e-10,
+        max_nfev=MAX_STEPS,
+    )
+    bread = np.linalg.pinv(result.jac.T @ result.jac)
+    return Minimum(result.x, unit, result.jac, bread, bool(result.success))
+
+
+def _standard_errors(minimum: Minimum, error: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """Cluster-robust standard errors (f,), in units of ``minimum.size``."""
     blocks = np.repeat(blocks, len(error) // len(blocks))
-    count, free = int(blocks.max()) + 1, len(found.values)
+    count, free = int(blocks.max()) + 1, len(minimum.values)
     scores = np.zeros((count, free))
-    np.add.at(scores, blocks, found.jacobian * error[:, None])
+    np.add.at(scores, blocks, minimum.jacobian * error[:, None])
     scores -= scores.mean(axis=0)  # the correction for noise shifts their mean
     freedom = count / max(1, count - free)
-    covariance = freedom * found.bread @ (scores.T @ scores) @ found.bread
+    covariance = freedom * minimum.bread @ (scores.T @ scores) @ minimum.bread
     return np.sqrt(np.diag(covariance))
 
 
 def _without_evidence(problem: Problem, values: np.ndarray, errors: np.ndarray) -> dict[int, str]:
-    """Lines on the fitted parameters that have no evidence, by their index."""
-    negated, limits = _negated(problem, values, errors), problem.at_limit(values)
-    lines = {}
-    for i in np.flatnonzero(np.isfinite(errors)):
+    """Why fitted parameters have no evidence, by their index."""
+    reasons = {}
+    positive = problem.mask(problem.positive) & ~_negated(problem, values, errors)
+    limits = np.zeros(len(values), bool)
+    if problem.search is not None:
+        near = (np.isclose(values, limit, rtol=AT_LIMIT, atol=0.0) for limit in problem.search[:2])
+        limits = np.logical_or(*near) & ~problem.mask(problem.physical)
+    for i in np.flatnonzero(np.isfinite(errors)).tolist():
         size = f"{values[i]:.2g} +- {errors[i]:.1g}"
         if limits[i]:
-            reason = f"{values[i]:.3g} is at the edge of the search range"
-            lines[int(i)] = _kept(problem, i, reason)
-        elif problem.names[i] in problem.positive and not negated[i]:
-            if values[i] < 0.0:
-                lines[int(i)] = _kept(problem, i, f"{size} is impossible below 0")
-            elif values[i] < SIGNIFICANT * errors[i]:
-                lines[int(i)] = _kept(problem, i, f"{size} is not significantly above 0")
-    return lines
+            reasons[i] = f"{values[i]:.3g} is at the edge of the search range"
+        elif positive[i] and values[i] < 0.0:
+            reasons[i] = f"{size} is impossible below 0"
+        elif positive[i] and values[i] < SIGNIFICANT * errors[i]:
+            reasons[i] = f"{size} is not significantly above 0"
+    return reasons
 
 
 def _negated(problem: Problem, values: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """Parameters (k,) bool that cannot be below zero, not even in part, and clearly are."""
-    driving = np.array([n in problem.positive and n not in problem.small for n in problem.names])
+    driving = problem.mask(problem.positive) & ~problem.mask(problem.small)
     return driving & np.isfinite(errors) & (values < 0.0) & (values < -NEGATED * errors)
 
 
-def _kept(problem: Problem, index: int, reason: str) -> str:
-    name, base = problem.names[index], problem.base[index]
-    return f"{name} ({problem.group}): {reason}; the base vehicle's {base:.4g} is kept"
+def _warnings(
+    problem: Problem,
+    kept: dict[int, str],
+    values: np.ndarray,
+    errors: np.ndarray,
+    explained: float,
+    minimum: Minimum | None,
+) -> list[str]:
+    group, names, base = problem.group, problem.names, problem.base
+    lines = [
+        f"{names[i]} ({group}): {reason}; the base vehicle's {base[i]:.4g} is kept"
+        for i, reason in kept.items()
+    ]
+    if explained < LITTLE_EXPLAINED:
+        lines.append(f"{group}: R^2 is {explained:.2f}: the model explains little")
+    with np.errstate(invalid="ignore"):
+        uncertain = np.isfinite(errors) & (errors > problem.uncertain * np.abs(values))
+    lines += [
+        f"{names[i]} ({group}): little excited by the logs, or the model does not fit them: "
+        f"{values[i]:.4g} +- {100.0 * errors[i] / max(abs(values[i]), 1e-300):.0f}%"
+        for i in np.flatnonzero(uncertain)
+    ]
+    if minimum is not None and not minimum.converged:
+        steps = f"the solver stopped after {MAX_STEPS} steps, before it converged"
+        lines.append(f"{group}: {steps}")
+    return lines
 
 
-def _condition(found: Minimum) -> float:
-    size = np.sqrt((found.jacobian**2).mean(axis=0))
-    return float(np.linalg.cond(found.jacobian / np.maximum(size, 1e-300)))
-
-
-def _percent(error: float, value: float) -> str:
-    return f"{100.0 * error / max(abs(value), 1e-300):.0f}%"
+def _condition(jacobian: np.ndarray) -> float:
+    size = np.sqrt((jacobian**2).mean(axis=0))
+    return float(np.linalg.cond(jacobian / np.maximum(size, 1e-300)))

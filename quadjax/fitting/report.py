@@ -12,11 +12,11 @@ from rich.table import Table
 from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import provenance
 from quadjax.core.yaml_files import to_yaml
+from quadjax.fitting.axes import Prediction, pooled
 from quadjax.fitting.fit import Fit
 from quadjax.fitting.nominal import AXES, EQUATIONS, units
-from quadjax.fitting.prediction import Prediction, pooled
 from quadjax.fitting.regression import Estimate, r_squared
-from quadjax.fitting.split import ALL, LeftOut
+from quadjax.fitting.samples import ALL, LeftOut
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.residual import write_residual
 from quadjax.vehicle.vehicle_file import write_vehicle
@@ -26,7 +26,6 @@ FILES = ("config.yaml", "vehicle.yaml", "report.json", "report.txt")
 RESIDUAL = "residual.npz"
 FIGURES = ("held_out_*.png", "training_*.png", "errors.png")  # see ``figures.write_figures``
 PATTERNS = (*FILES, RESIDUAL, *FIGURES)  # of all files that a fit writes
-NONE_HELD_OUT = "held out: none (split.leave_one_out is off, split.test_flights is empty)"
 WIDTH = 120
 
 
@@ -34,10 +33,7 @@ def tables(result: Fit) -> str:
     """The report as text."""
     what = "held out, each by a fit without it"
     parts = [_constants(result), _errors(result, "training", result.training)]
-    if result.held_out:
-        parts += [_errors(result, what, pooled(result.held_out)), _by_flight(result)]
-    else:
-        parts.append(NONE_HELD_OUT)
+    parts += [_errors(result, what, pooled(result.held_out)), _by_flight(result)]
     if _has_choices(result):
         parts.append(_choices(result))
     elif not result.residuals:
@@ -69,7 +65,7 @@ def write_results(result: Fit, folder: Path) -> list[Path]:
 
 def as_json(result: Fit) -> dict[str, object]:
     """The numbers of the report; null for those that are not finite."""
-    report = {
+    report: dict[str, object] = {
         "model": result.model,
         "flights": [log.name for log in result.logs],
         "constants": {
@@ -87,13 +83,10 @@ def as_json(result: Fit) -> dict[str, object]:
         "split": {"by": result.split.by, "folds": list(result.split.names)},
         "training": _prediction_json(result, result.training),
         "held_out": {part.name: _prediction_json(result, part) for part in result.held_out},
-        "held_out_pooled": _pooled_json(result),
+        "held_out_pooled": _prediction_json(result, pooled(result.held_out)),
         "not_checked": {log.name: list(log.unchecked) for log in result.logs},
         "choices": {
-            _name(result, left_out): {
-                axis: vars(choice) | {"distilled": fit.distilled[axis]}
-                for axis, choice in fit.choices.items()
-            }
+            _name(result, left_out): {axis: vars(choice) for axis, choice in fit.choices.items()}
             for left_out, fit in result.residuals.items()
         },
     }
@@ -135,10 +128,6 @@ def _prediction_json(result: Fit, part: Prediction) -> dict[str, dict[str, float
     if result.residuals:
         columns["change"] = part.change
     return {axis: {k: float(v[i]) for k, v in columns.items()} for i, axis in enumerate(AXES)}
-
-
-def _pooled_json(result: Fit) -> dict[str, dict[str, float]] | None:
-    return _prediction_json(result, pooled(result.held_out)) if result.held_out else None
 
 
 def _notes(result: Fit) -> dict[str, dict[str, str]]:
@@ -224,7 +213,7 @@ def _choices(result: Fit) -> str:
             f"{100.0 * c.gain:.1f}%",
             f"{100.0 * c.seed_spread:.1f}%" if np.isfinite(c.seed_spread) else "-",
             f"{c.agreement:.2f}",
-            f"{fit.distilled[axis]:.3f}",
+            f"{c.distilled:.3f}",
             " ".join(f"{100.0 * gain:+.1f}%" for gain in c.gains),
         )
         for axis, c in fit.choices.items()

@@ -39,8 +39,8 @@ def low_pass(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarra
     """
     if not 0.0 < cutoff < 0.5 * sample_rate:
         raise InputError(
-            f"prepare.cutoff is {cutoff} Hz, allowed: above 0 and below half the sample rate "
-            f"({sample_rate:.4g} Hz)"
+            f"a sample rate of {sample_rate:.4g} Hz is too low for a low-pass of {cutoff:g} Hz, "
+            f"allowed: above {2.0 * cutoff:g} Hz"
         )
     return sosfiltfilt(butter(2, cutoff, fs=sample_rate, output="sos"), signal, axis=0)
 

@@ -173,7 +173,8 @@ def _control(vehicle: VehicleParams, state: RigidBodyState, target: jax.Array) -
     effect = Vec3(8.0 * c.k_p * hover / c.i_xx, 8.0 * c.k_q * hover / c.i_yy, 4.0 * c.k_r1 / c.i_zz)
     assert isinstance(state.euler, Vec3)
     angle = Vec3.of(target[:3]) - state.euler
-    wanted = angle * Vec3(60.0, 60.0, 6.0) - state.rates * Vec3(12.0, 12.0, 4.0)
+    gains, damping = (Vec3.of(jnp.array(x)) for x in ((60.0, 60.0, 6.0), (12.0, 12.0, 4.0)))
+    wanted = angle * gains - state.rates * damping
     if vehicle.residual is not None:  # compensated exactly
         body_velocity = world_to_body(attitude(state.euler), state.velocity)
         _, extra = residual_force_moment(

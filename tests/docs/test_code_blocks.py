@@ -32,7 +32,7 @@ OPTIONS = {  # added to a command, unless it has them
     "seeds": ["--seeds", "0", "--runs", "2"],
     "evaluate": ["--runs", "2", "--laps", "1"],
     "compare": ["--runs", "2", "--laps", "1", "--parts", "table"],
-    "fit": ["residual.seeds=1", "residual.epochs=3", "residual.distill_epochs=5"],
+    "fit": ["residual.seeds=1", "residual.epochs=3"],
     "export": ["--allow-unfinished", *(f"--range={name}={size:g}" for name, size in WIDE.items())],
     "verify": ["--allow-unfinished", "--vectors", "100"],
 }

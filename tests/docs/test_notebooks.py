@@ -41,7 +41,7 @@ SMALL = {
     ],
     "residual_fit": [
         "FLIGHTS, LAPS, SEED, LEAST_SECONDS = 2, 1, 0, 2.5",
-        'SMALL = "seeds: 1, epochs: 3, distill_epochs: 5, mirror: off"',
+        'SMALL = "seeds: 1, epochs: 3, mirror: off"',
         'OVERRIDES = ["residual={" + SMALL + "}"]',
     ],
     "train_and_tune": [

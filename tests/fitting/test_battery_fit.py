@@ -10,12 +10,17 @@ from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors
 from quadjax.fitting import regression
 from quadjax.fitting.flight_log import FlightLog
-from quadjax.fitting.lag import BatteryFit, drain_of, fit_battery
+from quadjax.fitting.motors import BatteryFit, drain_of
+from quadjax.fitting.motors import fit_battery as fit_lag_and_battery
 from quadjax.refit import Model, changes
 from quadjax.vehicle.battery import BatteryConfig, battery_params, highest_rpm
 
 HOVER, HIGHEST, TAU, RATE = 7500.0, 11000.0, 0.05, 200.0
 BATTERY = BatteryConfig()
+
+
+def fit_battery(logs, hover, base):
+    return fit_lag_and_battery(logs, hover, base)[1]
 
 
 def flight(

@@ -6,14 +6,14 @@ import yaml
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.fitting import motor_map, nominal_fits, regression
+from quadjax.fitting import fit as fits
+from quadjax.fitting import motors, regression
 from quadjax.fitting.axes import with_common
 from quadjax.fitting.config import FitConfig, LogsConfig
 from quadjax.fitting.fit import fit
 from quadjax.fitting.flight_log import read_log
-from quadjax.fitting.prepare import prepare
 from quadjax.fitting.report import tables
-from quadjax.fitting.split import ALL
+from quadjax.fitting.samples import ALL, prepare
 from quadjax.vehicle.constants import replaced, values_of
 from quadjax.vehicle.vehicle_file import read_vehicle, write_vehicle
 from tests.commands import run
@@ -125,7 +125,7 @@ def test_constants_common_to_the_rotors_take_the_place_of_the_base_vehicle(short
     path = _write("blackbox", short, tmp_path, variant=False)
     log = read_log(path, LogsConfig(format="blackbox"))
     own, other = (read_vehicle(f"{drone}.yaml").racing for drone in ("5inch", "3inch"))
-    start = with_common(prepare([log], other, 16.0, [log.flying]), other)
+    start = with_common(prepare([log], other, [log.flying]), other)
     for name in ("k_p", "k_q", "k_r", "k_rd"):
         values = getattr(start, name).components()
         mean = np.mean(getattr(own, name).components())
@@ -373,9 +373,9 @@ def test_by_time_the_fit_ends_before_the_held_out_part(pieces, monkeypatch):
         seen.append(
             [log.time[used][-1] - log.time[0] for log, used in zip(logs, rows, strict=True)]
         )
-        return motor_map.fit_motors(logs, rows, *rest)
+        return motors.fit_motors(logs, rows, *rest)
 
-    monkeypatch.setattr(nominal_fits, "fit_motors", record)
+    monkeypatch.setattr(fits, "fit_motors", record)
     result = _fit(pieces, "blackbox", "a", split={"by": "time", "test_fraction": 0.4})
     length = result.logs[0].time[-1] - result.logs[0].time[0]
     assert 0.5 * length - 0.15 < seen[0][0] <= 0.6 * length - 0.1
@@ -383,10 +383,10 @@ def test_by_time_the_fit_ends_before_the_held_out_part(pieces, monkeypatch):
 
 def test_a_solver_that_stops_before_it_converges_is_reported(pieces, monkeypatch):
     monkeypatch.setattr(regression, "MAX_STEPS", 2)
-    result = _fit(pieces, "blackbox", "ab", split={"leave_one_out": False})
+    result = _fit(pieces, "blackbox", "ab")
     assert "motors: the solver stopped after 2 steps, before it converged" in result.warnings
     monkeypatch.undo()
-    result = _fit(pieces, "blackbox", "ab", split={"leave_one_out": False})
+    result = _fit(pieces, "blackbox", "ab")
     assert not any("stopped" in line for line in result.warnings)
 
 
@@ -410,14 +410,11 @@ def test_keys_without_effect_on_a_racing_quadcopter_are_refused(key, changes, pi
 
 
 def test_axes_that_are_not_fitted_keep_the_base_vehicle(pieces):
-    result = _fit(
-        pieces, "blackbox", "ab", nominal={"axes": ["az"]}, split={"leave_one_out": False}
-    )
+    result = _fit(pieces, "blackbox", "ab", nominal={"axes": ["az"]})
     base = read_vehicle("5inch.yaml").racing
     found = result.constants[ALL]
     assert found.k_w != base.k_w and found.k_x == base.k_x
-    assert [part.group for part in result.estimates] == ["az", "motors"] and not result.held_out
-    assert "held out: none" in tables(result)
+    assert [part.group for part in result.estimates] == ["az", "motors"]
 
 
 def test_no_key_of_the_base_vehicle_is_lost(pieces, tmp_path):

@@ -1,14 +1,13 @@
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.fitting.axes import fit_axes, fit_axis, with_estimates
+from quadjax.fitting.axes import fit_axes, with_estimates
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_logs, write_log
-from quadjax.fitting.lag import fit_motor_lag
+from quadjax.fitting.motors import fit_battery
 from quadjax.fitting.nominal import (
     AXES,
     CONSTANTS,
@@ -17,8 +16,8 @@ from quadjax.fitting.nominal import (
     nominal,
     regressors,
 )
-from quadjax.fitting.prepare import airborne, flight_rows, prepare
-from quadjax.fitting.regression import check_signs
+from quadjax.fitting.regression import Problem, check_signs, solve
+from quadjax.fitting.samples import airborne, prepare
 from quadjax.fitting.signals import derivative, low_pass, noise_level
 from quadjax.vehicle.battery import BatteryConfig
 from tests import reference as ref
@@ -40,19 +39,26 @@ def test_the_model_is_that_of_the_independent_reference(bebop):
     np.testing.assert_allclose(nominal(bebop, motion), expected, rtol=1e-9, atol=1e-12)
 
 
-def test_a_constant_of_an_impossible_sign_keeps_its_value_and_the_others_account_for_it(bebop):
+def test_a_constant_of_an_impossible_sign_keeps_its_value_and_the_others_account_for_it():
     draw = np.random.default_rng(0)
     names, columns = CONSTANTS["az"], draw.normal(size=(2000, len(CONSTANTS["az"])))
     columns += columns[:, :1]  # correlated
     truth = np.array([-0.2 if name == "k_z" else 2.0 for name in names])
-    measured = np.zeros((2000, 6))
-    measured[:, AXES.index("az")] = columns @ truth + 0.1 * draw.normal(size=2000)
-    noise = {"az": np.zeros_like(columns)}
-    samples = SimpleNamespace(regressors={"az": columns}, noise=noise, measured=measured)
-    base = replace(bebop, k_z=0.4)
-    fit = fit_axis("az", samples, np.arange(2000) // 50, base)
+    measured = columns @ truth + 0.1 * draw.normal(size=2000)
+    problem = Problem(
+        group="az",
+        names=names,
+        base=np.array([0.4 if name == "k_z" else 1.0 for name in names]),
+        measured=measured,
+        blocks=np.arange(2000) // 50,
+        columns=columns,
+        noise=np.zeros_like(columns),
+        positive=names,
+        small=("k_z",),
+    )
+    fit = solve(problem)
     others = np.array([name != "k_z" for name in names])
-    remainder = measured[:, AXES.index("az")] - 0.4 * columns[:, ~others][:, 0]
+    remainder = measured - 0.4 * columns[:, ~others][:, 0]
     expected = np.linalg.lstsq(columns[:, others], remainder, rcond=None)[0]
     np.testing.assert_allclose(fit.values[~others], 0.4)
     np.testing.assert_allclose(fit.values[others], expected, rtol=1e-9)
@@ -84,7 +90,7 @@ def test_filter_has_no_phase_and_derivative_is_exact_enough():
     np.testing.assert_allclose(low_pass(slow, 400.0, 16.0)[inner], passed * slow[inner], atol=1e-3)
     slope = 2 * np.pi * 2.0 * np.cos(2 * np.pi * 2.0 * time)
     np.testing.assert_allclose(derivative(slow, 400.0), slope, atol=1e-2)
-    with pytest.raises(InputError, match="prepare.cutoff"):
+    with pytest.raises(InputError, match="low-pass of 16"):
         low_pass(slow, 30.0, 16.0)
 
 
@@ -98,12 +104,13 @@ def test_noise_level_sees_noise_and_not_motion():
 
 def samples_of(logs, constants):
     """Every row in flight."""
-    return prepare(logs, constants, 16.0, flight_rows(logs))
+    return prepare(logs, constants, [airborne(log) for log in logs])
 
 
 def lag_of(logs, tau):
     """The motors' lag, without a battery's limit."""
-    return fit_motor_lag(logs, flight_rows(logs), tau, 7500.0, BatteryConfig())[0]
+    rows = [airborne(log) for log in logs]
+    return fit_battery(logs, 7500.0, BatteryConfig(), rows, tau)[0]
 
 
 @pytest.fixture(scope="module")

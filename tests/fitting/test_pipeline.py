@@ -35,7 +35,7 @@ def fitted(folder):
             (folder / "runs/all" / name).write_text("earlier")
     arguments = [
         f"logs.files=[{folder}/*.csv]",
-        "residual={seeds: 2, epochs: 10, distill_epochs: 20}",
+        "residual={seeds: 2, epochs: 10}",
     ]
     place = ["--output", folder / "runs", "--name", "all", "--overwrite"]
     assert run("fit", CONFIG, *arguments, *place) == 0
@@ -118,7 +118,7 @@ def test_the_choice_of_constants_for_a_held_out_flight_is_made_without_it(bebop,
 
 @pytest.mark.slow
 def test_a_report_of_one_seed_says_that_the_spread_is_not_tested(folder):
-    short = "residual={seeds: 1, epochs: 2, distill_epochs: 2}"
+    short = "residual={seeds: 1, epochs: 2}"
     config = load_fit_config(CONFIG, [f"logs.files=[{folder}/*.csv]", short])
     text = tables(fit(config, folder))
     assert "residual.seeds is 1: gains are not compared" in text and "nan" not in text
@@ -144,7 +144,6 @@ def test_a_report_of_one_seed_says_that_the_spread_is_not_tested(folder):
         ["logs.columns.rpm=[a]"],
         ["logs.units.rpm=Hz"],
         ["residual.mirror=maybe"],
-        ["prepare.cutoff=400"],
         ["logs.min_seconds=100"],
         ["name=a/b"],
         ["nonsense"],
@@ -203,7 +202,7 @@ def test_flights_left_out_are_not_harmed(plain_flights, tmp_path):
     """A shorter training than the default's."""
     arguments = [
         f"logs.files=[{plain_flights[0].parent}/*.csv]",
-        "residual={seeds: 2, epochs: 15, distill_epochs: 20}",
+        "residual={seeds: 2, epochs: 15}",
     ]
     config = load_fit_config(REPOSITORY / "configs/fit/racing_quad.yaml", arguments)
     change = np.array([part.change[2:] for part in fit(config, tmp_path).held_out])

@@ -9,8 +9,8 @@ import pytest
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log, write_log
 from quadjax.fitting.formats import paparazzi_columns
-from quadjax.fitting.prepare import flight_rows
-from quadjax.fitting.rate_model import fit_rate_model
+from quadjax.fitting.motors import fit_rate_model
+from quadjax.fitting.samples import airborne
 from quadjax.fitting.signals import first_order
 from quadjax.vehicle.vehicle_file import read_vehicle
 
@@ -59,7 +59,7 @@ def log(logs):
 def fitted(logs):
     """Values, standard errors and R^2 by name, and warnings."""
     base = read_vehicle("bebop1.yaml").constants("rate").replace(**BASE)
-    found = fit_rate_model(logs, flight_rows(logs), base, 16.0)
+    found = fit_rate_model(logs, [airborne(log) for log in logs], base)
     tables = [(part.constants, part.errors) for part in found]
     values, errors = ({k: x for t in tables for k, x in t[i].items()} for i in (0, 1))
     explained = {part.names[0]: part.r_squared for part in found}

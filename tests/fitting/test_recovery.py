@@ -3,7 +3,7 @@ import pytest
 
 from benchmarks.recovery import constant_errors, exact_motion, residual_recovered
 from quadjax.fitting.nominal import nominal
-from quadjax.fitting.residual_fit import zero_residual
+from quadjax.fitting.residual import zero_residual
 from quadjax.fitting.simulate import random_residual
 from quadjax.vehicle.protocol import VehicleParams
 

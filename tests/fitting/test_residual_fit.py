@@ -4,24 +4,23 @@ import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.fitting.axes import fit_axes, with_estimates
+from quadjax.fitting.axes import Prediction, fit_axes, with_estimates
 from quadjax.fitting.config import ResidualConfig, SplitConfig
 from quadjax.fitting.nominal import AXES, ModelInputs, nominal, regressors, residual_output
-from quadjax.fitting.prediction import predict
-from quadjax.fitting.prepare import Samples, join
 from quadjax.fitting.regression import r_squared
-from quadjax.fitting.residual_fit import fit_residuals, zero_residual
-from quadjax.fitting.residual_training import NETWORKS, mirrored
-from quadjax.fitting.selection import select
+from quadjax.fitting.residual import fit_residuals, select, zero_residual
+from quadjax.fitting.residual_training import MIRROR_OUTPUT, NETWORKS, mirrored
+from quadjax.fitting.samples import ALL, NOWHERE, TEST, Samples, make_split
+from quadjax.fitting.signals import concatenated
 from quadjax.fitting.simulate import random_residual
-from quadjax.fitting.split import ALL, NOWHERE, TEST, make_split
 from quadjax.vehicle.residual import read_residual, residual_force_moment, write_residual
 
-FAST = ResidualConfig(seeds=2, epochs=12, distill_epochs=40)
+FAST = ResidualConfig(seeds=2, epochs=12)
 
 
 def _split(samples, flights, **config):
-    return make_split(samples.flight, samples.time, flights, SplitConfig(**config))
+    times = [samples.time[samples.flight == i] for i in np.unique(samples.flight)]
+    return make_split(times, flights, SplitConfig(**config))
 
 
 def _fitted(samples, split, base, config):
@@ -30,9 +29,8 @@ def _fitted(samples, split, base, config):
     def constants(left_out):
         return with_estimates(base, fit_axes(samples[split.learned(left_out)], base))
 
-    complete = split.complete(True)
-    fits = fit_residuals(samples, split, base, constants, complete, config, 0)
-    return {left_out: (constants(left_out), fits[left_out]) for left_out in complete}
+    fits = fit_residuals(samples, split, base, constants, config, 0)
+    return {left_out: (constants(left_out), fit) for left_out, fit in fits.items()}
 
 
 def _samples(constants, residual, noise, flights=3, seconds=40.0, seed=0):
@@ -63,7 +61,7 @@ def _samples(constants, residual, noise, flights=3, seconds=40.0, seed=0):
         parts.append(
             Samples(motion, columns, nothing, truth, np.full(len(time), flight), time, rate)
         )
-    return join(parts)
+    return concatenated(parts)
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +118,8 @@ def test_noise_is_rejected_and_so_is_what_nothing_validates(bebop):
         assert choice.rejected and choice.scale == 0.0, axis
     assert not residual_output(fit.residual, samples.motion).any()
     assert (
-        np.abs(predict("", samples, split.fold >= 0, constants, fit.residual).change).max() < 1e-9
+        np.abs(Prediction.of("", samples, split.fold >= 0, constants, fit.residual).change).max()
+        < 1e-9
     )
     # Without one of two flights there is none left to choose on.
     for left_out in (frozenset({0}), frozenset({1})):
@@ -179,11 +178,11 @@ def test_mirror_image_is_one_of_the_nominal_model(bebop):
     random = np.random.default_rng(0)
     rpm, rpm_rate = random.uniform(4000, 9000, (20, 4)), random.normal(size=(20, 4))
     velocity, rates = random.normal(size=(20, 3)), random.normal(size=(20, 3))
-    network = NETWORKS["moment"]
-    image = mirrored(network, np.concatenate([rpm, velocity, rates], axis=1))
+    network = NETWORKS[1]
+    image = mirrored(np.concatenate([rpm, velocity, rates], axis=1))
     swapped = ModelInputs(image[:, :4], rpm_rate[:, [1, 0, 3, 2]], image[:, 4:7], image[:, 7:])
     moment = nominal(bebop, ModelInputs(rpm, rpm_rate, velocity, rates))
-    sign = np.array([1.0, -1.0, 1.0, *network.mirror_output])
+    sign = np.array([1.0, -1.0, 1.0, *(MIRROR_OUTPUT[axis] for axis in network.axes)])
     np.testing.assert_allclose(nominal(bebop, swapped), moment * sign, atol=1e-12)
     assert [AXES[i] for i in network.columns] == ["Mx", "My", "Mz"]
 

@@ -84,7 +84,7 @@ def test_logs_of_a_known_model_are_fitted_and_compared(tmp_path, monkeypatch, ca
         "--name",
         "known",
     ]
-    fast = "residual={seeds: 1, epochs: 2, distill_epochs: 2}"
+    fast = "residual={seeds: 1, epochs: 2}"
     assert run("fit", REPOSITORY / "configs/fit/paparazzi.yaml", *arguments, fast) == 0
     capsys.readouterr()
     arguments = ["--fit", tmp_path / "known", "--residual", logs / "residual.npz", "--flights", 1]

@@ -20,7 +20,7 @@ TINY = (
     ),
 )
 STEPS = 64
-FIT = load_fit_config("improve", ["residual={fit: false, seeds: 5, distill_epochs: 120}"])
+FIT = load_fit_config("improve", ["residual={fit: false, seeds: 5}"])
 
 
 def race(*overrides):

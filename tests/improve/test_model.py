@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.fitting.flight_log import FlightLog, read_log
-from quadjax.fitting.lag import BatteryFit
+from quadjax.fitting.motors import BatteryFit
 from quadjax.fitting.nominal import AXES
 from quadjax.flights import save
 from quadjax.improve import Round, tuning_config

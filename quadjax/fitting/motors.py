@@ -1,0 +1,415 @@
+"""First-order lags of signals that follow commands: motors, battery limit, motor map, inner loop.
+
+The model ``y' = (s(u) - y) / tau`` is simulated from the commands u and compared with the
+measurement, so noise in the measured signal does not bias the result, as it does when the
+derivative is regressed on ``s(u) - y``. The steady value s(u) is
+
+- of propeller speeds, body rates and specific thrust: the command;
+- of propeller speeds under a battery's limit: ``min(u, top)``,
+  ``top = a - sag load - drain integral of load`` (``quadjax.vehicle.battery.highest_rpm``). The
+  load is the rotors' power over that of hover, and ``a`` a number of each flight, as batteries are
+  charged differently. No voltage is needed. Short flights do not show the drain, because the charge
+  hardly falls; it is then that of the base battery;
+- of motor commands from 0 to 1: ``w_min + (w_max - w_min) sqrt(k u^2 + (1 - k) u)``. Without
+  measured speeds, the forces and moments of the simulated speeds are compared with the measured
+  ones; the scale of the speeds then has no effect, and ``w_max`` is that of the base vehicle.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from quadjax.core.errors import InputError
+from quadjax.fitting.axes import fit_axes
+from quadjax.fitting.flight_log import FlightLog
+from quadjax.fitting.nominal import AXES, EQUATIONS
+from quadjax.fitting.regression import Estimate, Problem, half_seconds, solve, unknown
+from quadjax.fitting.samples import CUTOFF, filtered_regressors, prepare, settled
+from quadjax.fitting.signals import derivative, first_order, low_pass
+from quadjax.vehicle.battery import BatteryConfig
+from quadjax.vehicle.racing import RacingConstants
+from quadjax.vehicle.rate import RateConstants
+
+RPM = 30.0 / math.pi  # of 1 rad/s
+TAU = (0.002, 0.5, 0.05)  # s: lowest, highest and typical time constant
+LIMIT = ("tau", "sag", "drain")
+MAP = ("tau", "w_min", "w_max", "k")
+LEAST_GAIN = 0.02  # relative decrease of the error, below which there is no limit
+RESERVE = 0.1  # charge above and below that of the flights, for flights to come
+LEAST_USED = 20.0  # s of hover in the longest flight, below which the drain is not fitted
+LEAST_EXPLAINED = 0.2  # R^2 of a lag of the inner loop that is used
+EXPLAINED = 0.9  # R^2 of the motor map below which there is a warning
+LEAST_RATE = 60.0  # Hz, of the samples compared without measured speeds
+LEAST_CHANGE = {  # of commands, by their name in messages
+    **{"commanded propeller speeds": 20.0, "motor commands": 0.01},
+    **{"commanded body rates": 0.05, "commanded thrust": 0.2},
+}
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Signals that follow commands, in some rows of one flight.
+
+    Attributes:
+        measured: (n, k).
+        command: (n, k).
+        rate: Hz.
+        starts: rows at which a contiguous part begins.
+        time: (n,) s since the first.
+        load: (n,) power over that of hover; of propeller speeds only.
+        used: (n,) s of hover since the start of the flight.
+    """
+
+    measured: np.ndarray
+    command: np.ndarray
+    rate: float
+    starts: np.ndarray
+    time: np.ndarray
+    load: np.ndarray
+    used: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        log: FlightLog,
+        rows: np.ndarray,
+        measured: np.ndarray,
+        command: np.ndarray,
+        hover: float = np.inf,
+    ) -> "Followed":
+        """Some rows (n,) bool of signals and their commands; ``hover`` in rpm."""
+        index = np.flatnonzero(rows)
+        starts = np.flatnonzero(np.concatenate([[True], np.diff(index) > 1]))
+        load = ((log.rpm / hover) ** 3).mean(axis=1)
+        used = np.cumsum(load) / log.sample_rate
+        time = log.time[rows] - log.time[index[0]]
+        signals = measured[rows], command[rows], log.sample_rate
+        return cls(*signals, starts, time, load[rows], used[rows])
+
+    def simulated(self, tau: float, steady: np.ndarray) -> np.ndarray:
+        """Signals (n, k) with steady values (n, k), each held until the next sample."""
+        pieces = zip(
+            np.split(self.measured, self.starts[1:]),
+            np.split(steady, self.starts[1:]),
+            strict=True,
+        )
+        return np.concatenate([first_order(u, y[0], tau, 1.0 / self.rate) for y, u in pieces])
+
+    def limited(self, first: float, sag: float, drain: float) -> np.ndarray:
+        """Commands (n, 4), rpm, under the limit ``first - sag load - drain used``."""
+        return np.minimum(self.command, (first - sag * self.load - drain * self.used)[:, None])
+
+
+Steady = Callable[[np.ndarray, int, Followed], np.ndarray]  # of values, flight index and flight
+
+
+def _problem(flights: Sequence[Followed], steady: Steady, **options: Any) -> Problem:
+    """A lag, the first of the values, behind steady values (n, k)."""
+
+    def model(values: np.ndarray) -> np.ndarray:
+        parts = (
+            part.simulated(values[0], steady(values, i, part)) for i, part in enumerate(flights)
+        )
+        return np.concatenate(list(parts))
+
+    return Problem(
+        measured=np.concatenate([part.measured for part in flights]),
+        blocks=half_seconds([part.time for part in flights]),
+        model=model,
+        **options,
+    )
+
+
+def _never_follow(commands: Sequence[np.ndarray], what: str) -> str:
+    """Why a lag behind commands (n, k) of some flights cannot be fitted; "" if it can."""
+    if not commands:
+        return f"the logs have no {what}"
+    change = max(float(np.ptp(command, axis=0).max()) for command in commands)
+    return f"the {what} never change" if change < LEAST_CHANGE[what] else ""
+
+
+def _fit_lag(
+    parts: Sequence[Followed], name: str, base: float, what: str, least_explained: float = -np.inf
+) -> Estimate:
+    """Fit one time constant, s, over the flights that have commands."""
+    reason = _never_follow([part.command for part in parts], what)
+    if reason:
+        return unknown(name, {name: base}, reason)
+    problem = _problem(
+        parts,
+        lambda values, index, part: part.command,
+        group=name,
+        names=(name,),
+        base=np.array([base]),
+        least_explained=least_explained,
+        search=np.array([TAU]).T,
+    )
+    return solve(problem)
+
+
+@dataclass(frozen=True)
+class BatteryFit:
+    """The motors' lag, and the limit where there is one.
+
+    Attributes:
+        tau: s.
+        sag: rpm per load; 0 without a limit.
+        drain: rpm per s of hover.
+        first: rpm at no load at the start of each flight, by its name; empty without a limit.
+        last: the same at the end.
+        rmse: of the simulated speeds of the flights, rpm.
+        converged: false if the solver stopped at its limit of steps.
+    """
+
+    tau: float
+    sag: float
+    drain: float
+    first: dict[str, float] = field(default_factory=dict)
+    last: dict[str, float] = field(default_factory=dict)
+    rmse: float = 0.0
+    converged: bool = True
+
+    def error(self, log: FlightLog, hover: float, highest: float) -> float:
+        """Root mean square error, rpm, of the speeds of a flight that was not fitted.
+
+        Its charge is not known, so ``a`` is the mean over the fitted flights.
+
+        Raises:
+            InputError: a log without commanded speeds.
+        """
+        if log.rpm_command is None:
+            raise InputError(f"{log.path}: no commanded speeds (logs.columns.rpm_command)")
+        part = Followed.of(log, np.ones(len(log.time), bool), log.rpm, log.rpm_command, hover)
+        first = float(np.mean(list(self.first.values()))) if self.first else highest
+        simulated = part.simulated(self.tau, part.limited(first, self.sag, self.drain))
+        return float(np.sqrt(((simulated - part.measured) ** 2).mean()))
+
+    def section(self, base: BatteryConfig) -> BatteryConfig | None:
+        """The battery of a race; None without a limit.
+
+        The speed at the full voltage and the charge of a flight cannot be separated: the flight
+        with the highest limit is assumed to start ``RESERVE`` below full. Voltages and the hover
+        current are those of ``base``.
+        """
+        if not self.first:
+            return None
+        drop = base.drop / base.voltage
+        full = max(self.first.values()) / (1.0 - drop * RESERVE)
+        lowest = 1.0 - (1.0 - min(self.last.values()) / full) / max(drop, 1e-6) - RESERVE
+        per_second = max(self.drain / (full * max(drop, 1e-6)), 1e-8)
+        return base.replace(
+            rpm_full=round(full, 2),
+            resistance=round(self.sag / full * base.voltage / base.hover_current, 6),
+            capacity=round(base.hover_current / (3600.0 * per_second), 5),
+            charge=(round(float(np.clip(lowest, 0.0, 1.0)), 3), 1.0),
+        )
+
+
+def drain_of(battery: BatteryConfig) -> float:
+    """Decrease of the highest speed per second of hover, rpm/s, by a battery's capacity."""
+    part = battery.hover_current / (3600.0 * battery.capacity)
+    return battery.rpm_full * battery.drop / battery.voltage * part
+
+
+def fit_battery(
+    logs: Sequence[FlightLog],
+    hover: float,
+    base: BatteryConfig,
+    rows: Sequence[np.ndarray] | None = None,
+    tau: float = TAU[2],
+) -> tuple[Estimate, BatteryFit | None]:
+    """Fit the motors' lag, with the battery's limit if that decreases the error.
+
+    Args:
+        logs: flights of one drone.
+        hover: propeller speed of a hover, rpm.
+        base: the battery whose drain is assumed where flights are too short to show it.
+        rows: of each log, (n,) bool; all if not given.
+        tau: value without evidence, s.
+
+    Returns:
+        The constants ``tau``, and ``sag`` and ``drain`` with a limit; and the limit, None if no
+        flight has commanded speeds.
+    """
+    parts = {
+        log.name: Followed.of(log, used, log.rpm, log.rpm_command, hover)
+        for log, used in zip(logs, rows or [np.ones(len(x.time), bool) for x in logs], strict=True)
+        if log.rpm_command is not None and used.any()
+    }
+    lag = _fit_lag(list(parts.values()), "tau", tau, "commanded propeller speeds")
+    lag = replace(lag, group="motors")
+    if not parts:
+        return lag, None
+    limit = _fit_limit(parts, float(lag.values[0]), base)
+    if not limit.rmse < (1.0 - LEAST_GAIN) * lag.rmse:
+        tau = float(lag.values[0])
+        return lag, BatteryFit(tau, 0.0, 0.0, rmse=lag.rmse, converged=lag.converged)
+    count, values = len(LIMIT), limit.constants
+    tau, sag, drain = (values[name] for name in LIMIT)
+    first = {name: values[name] for name in parts}
+    last = {name: float(first[name] - drain * part.used[-1]) for name, part in parts.items()}
+    errors = limit.standard_errors[:count]
+    of_drone = replace(limit, names=LIMIT, values=limit.values[:count], standard_errors=errors)
+    return of_drone, BatteryFit(tau, sag, drain, first, last, limit.rmse, limit.converged)
+
+
+def _fit_limit(parts: dict[str, Followed], tau: float, base: BatteryConfig) -> Estimate:
+    flights = list(parts.values())
+    first = [np.percentile(p.measured, 99.0) + 100.0 * np.median(p.load) for p in flights]
+    sag = base.rpm_full * base.resistance * base.hover_current / base.voltage
+    has_drain = max(part.used[-1] for part in flights) >= LEAST_USED
+    ranges = [TAU, (0.0, np.inf, 1000.0), (0.0, np.inf, 1.0)]
+    problem = _problem(
+        flights,
+        lambda values, index, part: part.limited(values[3 + index], values[1], values[2]),
+        group="motors",
+        names=(*LIMIT, *parts),
+        base=np.array([tau, sag, drain_of(base), *first]),
+        positive=LIMIT[1:],
+        small=LIMIT[1:],
+        search=np.array([*ranges, *[(0.0, np.inf, 1000.0)] * len(parts)]).T,
+        physical=LIMIT[1:],
+        fixed=() if has_drain else ("drain",),
+    )
+    return solve(problem)
+
+
+def fit_rate_model(
+    logs: Sequence[FlightLog], rows: Sequence[np.ndarray], base: RateConstants
+) -> list[Estimate]:
+    """Fit the rate-and-thrust model (INDI) over the flights with commanded rates and thrust.
+
+    Drag is fitted to the accelerometer's other two axes. The commands' limits are choices, not
+    properties of the drone: those of the base vehicle are kept.
+
+    Args:
+        logs: the flights.
+        rows: of each, (n,) bool.
+        base: constants of the base vehicle.
+
+    Returns:
+        The estimates; empty if no flight has the commands.
+    """
+    flights, used_rows, rates, thrusts = [], [], [], []
+    for log, used in zip(logs, rows, strict=True):
+        if log.rate_command is not None and log.thrust_command is not None and used.any():
+            flights.append(log)
+            used_rows.append(used)
+            rates.append(Followed.of(log, used, log.rates, log.rate_command))
+            thrust, command = -log.specific_force[:, 2:], log.thrust_command[:, None]
+            thrusts.append(Followed.of(log, used, thrust, command))
+    if not flights:
+        return []
+    lags = [
+        _fit_lag(parts, name, float(getattr(base, name)), what, LEAST_EXPLAINED)
+        for name, parts, what in (
+            ("tau_rate", rates, "commanded body rates"),
+            ("tau_thrust", thrusts, "commanded thrust"),
+        )
+    ]
+    drags = fit_axes(prepare(flights, base, used_rows), base)
+    return [replace(estimate, group="rate") for estimate in (*lags, *drags)]
+
+
+def steady_speeds(values: np.ndarray, command: np.ndarray) -> np.ndarray:
+    """Steady speeds, rad/s, of commands in [0, 1], both (n, 4); values as ``MAP``."""
+    _, low, high, k = values
+    u = np.clip(command, 0.0, 1.0)
+    return low + (high - low) * np.sqrt(k * u * u + (1.0 - k) * u)
+
+
+def with_simulated_speeds(log: FlightLog, values: np.ndarray) -> FlightLog:
+    """A log with the speeds that its motor commands give; unchanged where they are measured.
+
+    The speeds at its start are not known: the time until they have no effect counts as not flying.
+    """
+    if log.speeds_measured:
+        return log
+    assert log.motor_command is not None
+    steady = RPM * steady_speeds(values, log.motor_command)
+    rpm = first_order(steady, steady[0], values[0], 1.0 / log.sample_rate)
+    return replace(log, rpm=rpm, flying=settled(log))
+
+
+def fit_motors(
+    logs: Sequence[FlightLog], rows: Sequence[np.ndarray], base: RacingConstants
+) -> Estimate:
+    """Fit the motor map and time constant of a racing quadcopter, in the order of ``MAP``.
+
+    Args:
+        logs: flights; those with motor commands are used.
+        rows: of each, (n,) bool.
+        base: values without evidence in the logs.
+    """
+    start = np.array([float(getattr(base, name)) for name in MAP])
+    pairs = zip(logs, rows, strict=True)
+    flights = [(log, used, u) for log, used in pairs if (u := log.motor_command) is not None]
+    flights = [flight for flight in flights if flight[1].any()]
+    reason = _never_follow([command[used] for _, used, command in flights], "motor commands")
+    if reason:
+        return unknown("motors", dict(zip(MAP, start, strict=True)), reason)
+    measured = [
+        Followed.of(log, used, log.rpm / RPM, command)
+        for log, used, command in flights
+        if log.speeds_measured
+    ]
+    if measured:
+        high = max(*(float(part.measured.max()) for part in measured), start[2])
+        limits = (0.0, 0.9 * high, 1000.0), (0.1 * high, 10.0 * high, 1000.0)
+    else:
+        limits = (0.0, 0.5 * start[2], 1000.0), (0.0, np.inf, 1000.0)
+    options = {
+        **{"group": "motors", "names": MAP, "base": start, "physical": ("w_min", "k")},
+        "uncertain": EQUATIONS[RacingConstants].uncertain,
+        "search": np.array([TAU, *limits, (0.0, 1.0, 1.0)]).T,
+    }
+    if measured:
+        of_command = _problem(
+            measured, lambda values, i, p: steady_speeds(values, p.command), **options
+        )
+        estimate = solve(of_command)
+    else:
+        estimate = solve(_unmeasured([flight[:2] for flight in flights], base, options))
+    if estimate.r_squared >= EXPLAINED:
+        return estimate
+    line = (
+        f"motors: the commands explain the motors by an R^2 of {estimate.r_squared:.2f}: is "
+        "logs.motor_range right?"
+    )
+    return replace(estimate, warnings=(*estimate.warnings, line))
+
+
+def _unmeasured(
+    flights: Sequence[tuple[FlightLog, np.ndarray]], base: RacingConstants, options: dict[str, Any]
+) -> Problem:
+    """Forces and moments with the best constants of the rotors for motors of some values."""
+    rows = [
+        np.flatnonzero(used)[:: max(1, int(log.sample_rate / LEAST_RATE))] for log, used in flights
+    ]
+    signals = []
+    for (log, _), index in zip(flights, rows, strict=True):
+        turn = derivative(low_pass(log.rates, log.sample_rate, CUTOFF), log.sample_rate)
+        force = low_pass(log.specific_force[:, 2:], log.sample_rate, CUTOFF)
+        signals.append(np.concatenate([force, turn], axis=1)[index])
+    measured = np.concatenate(signals)
+    measured = measured / measured.std(axis=0)
+
+    def model(values: np.ndarray) -> np.ndarray:
+        parts = [
+            filtered_regressors(with_simulated_speeds(log, values), base) for log, _ in flights
+        ]
+        modeled = np.empty_like(measured)
+        for i, axis in enumerate(AXES[2:]):
+            pairs = zip(parts, rows, strict=True)
+            columns = np.concatenate([part[axis][index] for part, index in pairs])
+            columns = columns / np.sqrt((columns**2).mean(axis=0))
+            modeled[:, i] = columns @ np.linalg.lstsq(columns, measured[:, i], rcond=1e-10)[0]
+        return modeled
+
+    pairs = zip(flights, rows, strict=True)
+    times = [log.time[index] - log.time[0] for (log, _), index in pairs]
+    blocks = half_seconds(times)
+    return Problem(measured=measured, blocks=blocks, model=model, fixed=("w_max",), **options)
