@@ -21,18 +21,16 @@ def verify(
     runs: opt.Runs = 0,
     allow_unfinished: opt.AllowUnfinished = False,
     allow_other_race: opt.AllowOtherRace = False,
-    mutations: Annotated[int, Parameter(converter=opt.whole(1, 10**7))] = 2_000,
     race: opt.Race = None,
     json: opt.JsonFile = None,
 ) -> int:
     """Build and run an exported folder with the compilers of this machine.
 
     A C compiler of the host, or the one that pip installs, and an emulated
-    Cortex-A9 (pip install 'quadjax[verify]') are enough. With
-    arm-linux-gnueabi-gcc, arm-linux-gnueabihf-gcc, qemu-arm, frama-c and cppcheck
-    on the path more is checked; a check without its tool is skipped, with the
-    reason. A .qjp file in place of DIR is checked by itself. Exit status 0: no
-    check failed.
+    processor (pip install 'quadjax[verify]') are enough; with
+    arm-linux-gnueabi-gcc or arm-none-eabi-gcc on the path, their code runs too. A
+    check without its tool is skipped, with the reason. A .qjp file in place of DIR
+    is checked by itself. Exit status 0: no check failed.
 
     Example: quadjax verify out/ --json verification.json
 
@@ -40,7 +38,6 @@ def verify(
         folder: Folder of quadjax export, or FILE.qjp.
         vectors: Vectors for every build.
         runs: Runs of the closed loop.
-        mutations: Mutated .qjp files that are tried.
         race: Config of the race, if that of DIR names your own code (config.yaml of DIR).
         json: Write the table.
     """
@@ -48,9 +45,8 @@ def verify(
         opt.refuse("on a .qjp file", "runs", "allow_unfinished", "allow_other_race", "race")
     with loading():
         from quadjax.core.provenance import provenance
-        from quadjax.export.verify.file import verify_file
+        from quadjax.export.verify.checks import CHECKS
         from quadjax.export.verify.result import FAILED, Result, counts_text, row_text
-        from quadjax.export.verify.run import CHECKS
         from quadjax.export.verify.run import verify as verify_folder
 
     def announce(name: str) -> None:
@@ -62,21 +58,17 @@ def verify(
             print("\r\033[K", end="", file=sys.stderr, flush=True)
         print(as_options(row_text(result, max(map(len, CHECKS)))), flush=True)
 
-    if folder.suffix == ".qjp":
-        policy, results = folder, verify_file(folder, vectors, mutations, announce, report)
-    else:
-        policy = folder / "policy.npz"
-        results = verify_folder(
-            folder,
-            vectors,
-            runs,
-            announce,
-            allow_unfinished=allow_unfinished,
-            allow_other_race=allow_other_race,
-            report=report,
-            mutations=mutations,
-            config=race,
-        )
+    policy = folder if folder.suffix == ".qjp" else folder / "policy.npz"
+    results = verify_folder(
+        folder,
+        vectors,
+        runs,
+        announce,
+        allow_unfinished=allow_unfinished,
+        allow_other_race=allow_other_race,
+        report=report,
+        config=race,
+    )
     print(f"\n{counts_text(results)}")
     rows = [dataclasses.asdict(result) for result in results]
     if json is not None:

@@ -126,6 +126,7 @@ def prove_battery(tables: BatteryTables) -> None:
     """
     k = tables.low_pass
     full, error = 1 << FINE_BITS, _largest_error(tables)
+    _check_numbers(tables)
     total = MOTORS * (error + 1)
     step = (total * tables.gain.value >> tables.gain.shift) + 1
     products = (
@@ -137,6 +138,35 @@ def prove_battery(tables: BatteryTables) -> None:
         raise InputError(
             "estimator of the highest rpm: its sums may reach "
             f"2^{math.log2(largest):.1f}, allowed: below 2^{ROOM}; the motors are too slow"
+        )
+
+
+def _check_numbers(tables: BatteryTables) -> None:
+    """What the C checks on board.
+
+    Raises:
+        InputError: a number that is not allowed.
+    """
+
+    def fits(value: int, factor: int) -> bool:
+        size = abs(factor)
+        bits = ((value >> SPLIT) + 1).bit_length() + (size + 1).bit_length()
+        return bits <= ROOM and 16 + size.bit_length() <= ROOM
+
+    full = 1 << FINE_BITS
+    factors = (tables.low_pass, tables.lead, tables.gain)
+    fine = all(0 <= f.value <= 1 << 30 and 17 <= f.shift <= 60 for f in factors)
+    fine = fine and tables.low_pass.value <= 1 << tables.low_pass.shift
+    fine = fine and 0 <= tables.lowest <= tables.first <= tables.highest <= full
+    fine = fine and abs(tables.exponent) <= 30 and tables.sample_rate > 0.0
+    if fine:
+        lead = (2 * full >> SPLIT) * tables.lead.value >> (tables.lead.shift - SPLIT)
+        error = 2 * full + 2 + lead + 1
+        fine = fits(error, 1 << 30) and fits(4 * (error + 1), tables.gain.value)
+    if not fine:
+        raise InputError(
+            "estimator of the highest rpm: its sums may reach 2^62, allowed: below 2^62; "
+            "the motors are too slow"
         )
 
 

@@ -1,6 +1,7 @@
-"""From a policy and its race to integers, their proof and the emitted sources."""
+"""From a policy and its race to integers, their proof and the files of an export."""
 
 import dataclasses
+import functools
 import hashlib
 import itertools
 import textwrap
@@ -8,49 +9,36 @@ from pathlib import Path
 
 from quadjax.core.errors import InputError
 from quadjax.export import flights
-from quadjax.export.battery_tables import BatteryTables, make_battery
-from quadjax.export.emit import (
-    Provenance,
-    emit_battery,
-    emit_estimator,
-    emit_network,
-    emit_paparazzi,
-    emit_race,
-)
-from quadjax.export.estimator_tables import (
-    CUTOFF,
-    SAMPLE_RATE,
-    EstimatorTables,
-    make_estimator,
-)
-from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork, convert
+from quadjax.export.battery_tables import make_battery
+from quadjax.export.cases import make_cases
+from quadjax.export.estimator_tables import CUTOFF, SAMPLE_RATE, make_estimator
+from quadjax.export.fixed import FixedNetwork, convert
 from quadjax.export.flights import Rollouts
-from quadjax.export.indiflight import emit_indiflight
 from quadjax.export.proof import Proof, prove
-from quadjax.export.qjp.autopilots import emit_crazyflie, emit_px4
-from quadjax.export.qjp.emit import emit_loader
-from quadjax.export.qjp.policy import make_qjp, qjp_bytes
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import RaceTables, make_tables, track_ranges
-from quadjax.export.render import identifier, is_reserved, shared_symbols
-from quadjax.export.targets import (
-    AS_FILE,
-    CRAZYFLIE,
-    DEFAULT_TARGET,
-    INDIFLIGHT,
-    PAPARAZZI,
-    PX4,
-    TARGETS,
-    Target,
-    has_estimator,
+from quadjax.export.render import (
+    LONGEST_NAME,
+    glue_header,
+    identifier,
+    policy_header,
+    sizes_header,
 )
+from quadjax.export.targets import (
+    DEFAULT_TARGET,
+    RUNTIME,
+    Target,
+    check_target,
+    observed_fields,
+    runtime_files,
+    target_of,
+)
+from quadjax.export.words import VERSION, FixedPolicy, pack
 from quadjax.policy.file import Policy
-from quadjax.race.observations import HIGHEST_RPM
+from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM
 from quadjax.vehicle.battery import middle_limit
 
-COMMENT_WIDTH = 96
-LONGEST_NAME = 60
-PLACEHOLDER = "placeholder"  # a prefix that no symbol of the C code contains
+COMMENT_WIDTH = 94
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,58 +59,52 @@ class Converted:
     """A policy and its race as integers: everything that the files are made from."""
 
     policy: Policy
-    network: FixedNetwork
+    fixed: FixedPolicy
     proof: Proof
-    race: RaceTables
-    estimator: EstimatorTables | None  # None for a vehicle without external disturbances
-    battery: BatteryTables | None  # None where the highest propeller speed is not observed
     rollouts: Rollouts  # evenly spread rows of the simulated flights
     own: OwnRace
-    origin: Provenance
-    residual_hash: str  # SHA-256 of the residual file; empty without one
+    facts: tuple[str, ...]  # lines about where the policy comes from
     options: Options
 
     @property
     def target(self) -> Target:
         """Processor and autopilot."""
-        return TARGETS[self.options.target]
+        return target_of(self.options.target, self.policy.vehicle)
 
-    def sources(self) -> dict[str, str]:
-        """Every emitted C file and header, by its path in the folder."""
-        if self.target.autopilot in AS_FILE:
-            return self._loaded()
-        network, origin, rollouts = self.network, self.origin, self.rollouts
-        files = emit_network(network, origin, rollouts.observations)
-        files |= emit_race(self.race, network, origin, rollouts.states, rollouts.targets)
-        if self.estimator is not None:
-            files |= emit_estimator(self.estimator, network, origin, self.residual_hash)
-        if self.battery is not None:
-            files |= emit_battery(self.battery, network, origin)
-        if self.target.autopilot == PAPARAZZI:
-            files |= emit_paparazzi(network, origin, self.race, self.estimator, self.battery)
-        if self.target.autopilot == INDIFLIGHT:
-            files |= emit_indiflight(files, network, origin, self.race, self.own, self.policy)
-        return files
+    @property
+    def network(self) -> FixedNetwork:
+        """The network as integers."""
+        return self.fixed.network
 
-    def _loaded(self) -> dict[str, str]:
-        """The C that loads the policy as a file, and its autopilot's."""
-        autopilot, own = self.target.autopilot, (self.network, self.race)
-        files = emit_loader()
-        if autopilot == PX4:
-            files |= emit_px4(*own)
-        if autopilot == CRAZYFLIE:
-            (data,) = self.binaries().values()
-            files |= emit_crazyflie(self.origin.name, data, *own, self.own.time_step)
-        return files
+    @property
+    def race(self) -> RaceTables:
+        """Observation and track as integers."""
+        return self.fixed.race
 
-    def binaries(self) -> dict[str, bytes]:
-        """Every other emitted file, by its path in the folder: the policy as a ``.qjp`` file."""
-        if self.target.autopilot not in AS_FILE:
-            return {}
-        rows, step = self.rollouts, self.own.time_step
-        parts = (self.network, self.race, self.origin.policy_hash, step)
-        tests = (rows.observations, rows.states, rows.targets)
-        return {f"{self.origin.name}.qjp": qjp_bytes(make_qjp(self.origin.name, *parts, *tests))}
+    @property
+    def name(self) -> str:
+        """Name of the files."""
+        return self.options.name
+
+    @functools.cached_property
+    def words(self) -> bytes:
+        """The policy as words."""
+        return pack(self.fixed)
+
+    def files(self) -> dict[str, bytes]:
+        """Every emitted file of the policy and its C, by its path in the folder."""
+        target, header = self.target, policy_header(self.fixed, self.words, self.facts)
+        texts = runtime_files(target)
+        if target.as_file:
+            texts[f"{target.folder}/qj_sizes.h"] = (RUNTIME / "qj_sizes.h").read_text("utf-8")
+        else:
+            texts[f"{target.folder}/qj_sizes.h"] = sizes_header(self.fixed)
+            texts[f"{target.folder}/{self.name}.h"] = header
+        if target.glue and not target.as_file:
+            texts[f"{target.folder}/quadjax_policy.h"] = glue_header(self.fixed, self.own)
+        return {name: text.encode() for name, text in texts.items()} | {
+            f"{self.name}.qjp": self.words
+        }
 
 
 def sha256(path: Path) -> str:
@@ -153,59 +135,37 @@ def convert_policy(
     """
     network = convert(policy, track_ranges(policy.layout, own.params.track) | options.ranges)
     proof = prove(network, policy)
+    race = make_tables(network.box, policy, own.choices, own.params)
+    check_target(target_of(options.target, policy.vehicle), network, race)
     if rollouts is None:
         rollouts = flights.simulate(own)
         if not options.allow_unfinished:
             flights.check_finished(rollouts.laps, own, file)
         network.box.check(rollouts.observations)
         rollouts = rollouts.thinned()
-    vehicle, estimator = own.params.vehicle, None
-    if network.model.name == "motor" and has_estimator(options.target):
+    vehicle, observed = own.params.vehicle, observed_fields(race)
+    estimator = battery = None
+    if observed & set(DISTURBANCES) and network.model.name == "motor":
         numbers = (options.sample_rate, options.cutoff)
         estimator = make_estimator(vehicle.constants, vehicle.residual, *numbers)
-    return Converted(
-        policy=policy,
-        network=network,
-        proof=proof,
-        race=make_tables(network.box, policy, own.choices, own.params),
-        estimator=estimator,
-        battery=_battery(policy, own, options),
-        rollouts=rollouts,
-        own=own,
-        origin=_origin(policy, own, options.name, file, sha256(path)),
-        residual_hash=sha256(own.residual) if estimator and own.residual else "",
-        options=options,
+    if HIGHEST_RPM in observed:
+        assert own.params.battery is not None
+        first = float(middle_limit(own.params.battery))
+        battery = make_battery(vehicle.constants, first, options.sample_rate)
+    tables = (network, race, estimator, battery)
+    rows = (rollouts.observations, rollouts.states, rollouts.targets)
+    policy_hash = sha256(path)
+    fixed = FixedPolicy(
+        options.name, *tables, policy_hash, own.time_step, make_cases(*tables, *rows)
     )
-
-
-def _battery(policy: Policy, own: OwnRace, options: Options) -> BatteryTables | None:
-    """The estimator of the highest propeller speed, for a policy that observes it."""
-    if HIGHEST_RPM not in policy.layout:
-        return None
-    assert own.params.battery is not None
-    first = float(middle_limit(own.params.battery))
-    return make_battery(own.params.vehicle.constants, first, options.sample_rate)
-
-
-def check_symbols(converted: Converted) -> None:
-    """Raise an ``InputError`` for a name that makes two symbols of the C code identical."""
-    origin = dataclasses.replace(converted.origin, name=PLACEHOLDER)
-    sources = dataclasses.replace(converted, origin=origin).sources()
-    shared = shared_symbols(sources.values(), converted.origin.name, PLACEHOLDER)
-    if shared:
-        raise InputError(
-            f"--name {converted.origin.name}: the C code has another symbol {shared[0]}; "
-            "choose another name"
-        )
+    facts = _facts(policy, own, file, policy_hash)
+    return Converted(policy, fixed, proof, rollouts, own, facts, options)
 
 
 def symbol_name(name: str | None, file: str) -> str:
-    """The prefix of every C symbol: the requested one, or the policy file's name."""
-    name = name if name is not None else identifier(Path(file).stem)
-    if is_reserved(name):
-        raise InputError(
-            f"--name {name}: is a C keyword or a name of the C library; choose another"
-        )
+    """The name of the files and of the table in C: the requested one, or the policy file's."""
+    if name is None:
+        return identifier(Path(file).stem)[:LONGEST_NAME]
     if identifier(name) != name or len(name) > LONGEST_NAME:
         raise InputError(
             f"--name {name!r}: expected a lower-case C identifier of at most {LONGEST_NAME} letters"
@@ -213,15 +173,15 @@ def symbol_name(name: str | None, file: str) -> str:
     return name
 
 
-def _origin(policy: Policy, own: OwnRace, name: str, file: str, policy_hash: str) -> Provenance:
-    """Name, hash and the comment at the top of each file."""
+def _facts(policy: Policy, own: OwnRace, file: str, policy_hash: str) -> tuple[str, ...]:
+    """Lines about where a policy comes from."""
     stated = {k: v for k, v in policy.source.items() if v is not None and not isinstance(v, dict)}
     source = ", ".join(f"{key}={value}" for key, value in stated.items())
     facts = (
         f"Policy   {file}, SHA-256 {policy_hash}",
         f"Source   {source or 'not stated in the policy file'}",
-        f"Format   quadjax fixed point, version {FORMAT_VERSION}; deterministic (mean) actions",
+        f"Format   words of version {VERSION}; deterministic (mean) actions",
         f"Track    {own.track}; vehicle {own.vehicle}",
     )
     lines = [textwrap.wrap(fact, COMMENT_WIDTH, subsequent_indent=" " * 9) for fact in facts]
-    return Provenance(name, policy_hash, tuple(itertools.chain(*lines)), source or file)
+    return tuple(itertools.chain(*lines))

@@ -10,13 +10,12 @@ from pathlib import Path
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError, writing
-from quadjax.core.files import whole_file, write_bytes, write_json, write_npz, write_text
+from quadjax.core.files import whole_file, write_bytes, write_json, write_npz
 from quadjax.core.folders import claim, kind_of, replacement
 from quadjax.core.provenance import provenance
 from quadjax.export.conversion import (
     Converted,
     Options,
-    check_symbols,
     convert_policy,
     symbol_name,
 )
@@ -25,18 +24,13 @@ from quadjax.export.fixed import check_policy
 from quadjax.export.flights import SEED
 from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, own_race
 from quadjax.export.report import Json, make_report, report_text
-from quadjax.export.targets import (
-    DEFAULT_TARGET,
-    TARGETS,
-    check_model,
-    find_target,
-    has_estimator,
-)
+from quadjax.export.targets import DEFAULT_TARGET, find_target, target_of
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 
 KIND = "export"
 POLICY_FILE, ROLLOUTS_FILE = "policy.npz", "rollouts.npz"
+FOLDERS = ("paparazzi", "indiflight", "indiflight_2026", "qjp", "px4", "crazyflie", "c")
 ROLLOUTS_FORMAT, ROLLOUTS_ARRAYS = "quadjax-rollouts/1", ("observations", "states", "targets")
 
 
@@ -50,8 +44,8 @@ class Export:
 
     @property
     def name(self) -> str:
-        """Prefix of every C symbol and file."""
-        return self.converted.origin.name
+        """Name of the files."""
+        return self.converted.name
 
     @property
     def text(self) -> str:
@@ -74,7 +68,7 @@ def export_c(
     target: str = DEFAULT_TARGET,
     overwrite: bool = False,
 ) -> Export:
-    """Write a policy as fixed-point C: network, observation, estimator, an autopilot's files.
+    """Write a policy as words, with the C runtime that flies them and an autopilot's files.
 
     The policy is converted to integers, the conversion is proven for every input in the declared
     ranges, and the policy's own race is simulated. Nothing is written unless all of that succeeds.
@@ -86,7 +80,7 @@ def export_c(
             Without it: the config in the policy file, or the preset that the file names.
         ranges: half-widths of the inputs that differ from the defaults, powers of two, by name:
             ``{"position": 16.0}``.
-        name: prefix of every C symbol; the policy file's name by default.
+        name: of the files and of the table in C; the policy file's name by default.
         track: a track file that replaces the config's.
         sample_rate: of the estimators on board, Hz; 512 by default.
         cutoff: of the disturbance estimator's low-pass, Hz; 8 by default.
@@ -114,18 +108,7 @@ def export_c(
     folder = Path(folder)
     given = POLICY_FILE if isinstance(policy, Policy) else Path(policy).name
     symbol = symbol_name(name, given)
-    files = (
-        POLICY_FILE,
-        RESIDUAL_FILE,
-        CONFIG_FILE,
-        ROLLOUTS_FILE,
-        f"{symbol}[._]*",
-        "paparazzi",
-        "indiflight*",
-        "qjp",
-        "px4",
-        "crazyflie",
-    )
+    files = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, ROLLOUTS_FILE, f"{symbol}[._]*", *FOLDERS)
     _check_empty(folder, overwrite)
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
         numbers = (ranges or {}, *rates)
@@ -133,14 +116,13 @@ def export_c(
         _check_folder(folder, symbol)
         own = Policy.load(path)
         check_policy(own)
-        check_model(target, own.vehicle)
-        _check_rates(own.vehicle, target, sample_rate, cutoff)
+        target_of(target, own.vehicle)
         found, origin = race_of_policy(own, path.name, config, track)
         race = own_race(found, own, origin, path.name)
         if not allow_other_race:
             check_race(own, race, path)
         converted = convert_policy(own, race, options, path.name, path)
-        check_symbols(converted)
+        _check_rates(converted, sample_rate, cutoff)
         report = make_report(converted, path.name)
         report["provenance"] = provenance(found, path, SEED)
         with writing(folder), replacement(folder, _optional(symbol)) as new:
@@ -148,22 +130,16 @@ def export_c(
     return Export(folder, converted, report)
 
 
-def _check_rates(
-    vehicle: str, target: str, sample_rate: float | None, cutoff: float | None
-) -> None:
-    """Refuse numbers of the estimator for a vehicle or a target that has none."""
-    given = {"sample rate": sample_rate, "cut-off": cutoff}
-    unused = [f"{name} {value:g} Hz" for name, value in given.items() if value is not None]
-    if unused and not has_estimator(target):
-        allowed = ", ".join(filter(has_estimator, TARGETS))
-        raise InputError(
-            f"estimator {unused[0]} has no effect: --target {target} has no estimator, "
-            f"allowed: {allowed}"
-        )
-    if unused and vehicle != "motor":
-        raise InputError(
-            f"estimator {unused[0]} has no effect: the vehicle model {vehicle!r} has no estimator"
-        )
+def _check_rates(converted: Converted, sample_rate: float | None, cutoff: float | None) -> None:
+    """Refuse numbers of estimators that the policy has not."""
+    fixed = converted.fixed
+    used = {"sample rate": fixed.estimator or fixed.battery, "cut-off": fixed.estimator}
+    for (name, tables), value in zip(used.items(), (sample_rate, cutoff), strict=True):
+        if value is not None and tables is None:
+            raise InputError(
+                f"estimator {name} {value:g} Hz has no effect: the policy observes no disturbance "
+                f"that is estimated on board (vehicle model {converted.policy.vehicle!r})"
+            )
 
 
 @contextlib.contextmanager
@@ -199,23 +175,18 @@ def _check_folder(folder: Path, name: str) -> None:
 
 def _optional(name: str) -> tuple[str, ...]:
     """Files that not every export writes; those of an earlier export are removed."""
-    autopilots = ("paparazzi", "indiflight", "indiflight_2026", "qjp", "px4", "crazyflie")
-    parts = [
-        f"{name}{part}.{end}" for part in ("", "_race", "_estimator", "_battery") for end in "ch"
-    ]
-    return (*parts, f"{name}.qjp", RESIDUAL_FILE, *autopilots)
+    parts = ("", "_race", "_estimator", "_battery")  # of earlier releases
+    return (*(f"{name}{part}.{end}" for part in parts for end in "ch"), RESIDUAL_FILE, *FOLDERS)
 
 
 def _write(converted: Converted, folder: Path, report: Json, policy: Path) -> None:
     """The C, the report, and the inputs from which the verification repeats the conversion."""
-    name = converted.options.name
-    texts = converted.sources() | {
-        f"{name}_report.txt": report_text(report, name),
-        CONFIG_FILE: converted.own.config,
+    name = converted.name
+    files = converted.files() | {
+        f"{name}_report.txt": report_text(report, name).encode(),
+        CONFIG_FILE: converted.own.config.encode(),
     }
-    for file, text in texts.items():
-        write_text(folder / file, text)
-    for file, data in converted.binaries().items():
+    for file, data in files.items():
         write_bytes(folder / file, data)
     for file, source in ((POLICY_FILE, policy), (RESIDUAL_FILE, converted.own.residual)):
         if source is not None:

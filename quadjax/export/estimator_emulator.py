@@ -90,7 +90,8 @@ def start(tables: EstimatorTables, measured: np.ndarray) -> Memory:
 def update(tables: EstimatorTables, memory: Memory, measured: np.ndarray) -> np.ndarray:
     """One sample (n, 13): the external moment and specific force (n, 6), in fine units."""
     x, d = unexplained(tables, quantize(measured, tables.exponents))
-    y = scaled(x + d, tables.gain, LOW_PASS_BITS) + memory.s1
+    limit = 1 << FINE_BITS  # never reached: the converter bounds the output by the range
+    y = np.clip(scaled(x + d, tables.gain, LOW_PASS_BITS) + memory.s1, -limit, limit)
     memory.s1 = memory.s2 + scaled(2 * x, tables.gain, LOW_PASS_BITS) - scaled(y, tables.a1, Q30)
     memory.s2 = scaled(x - d, tables.gain, LOW_PASS_BITS) - scaled(y, tables.a2, Q30)
     return y

@@ -30,6 +30,7 @@ Q30 = INPUT_BITS
 SAMPLE_RATE, CUTOFF = 512.0, 8.0  # Hz, if none are given
 SAMPLE_RATES = (1.0, 1e5)  # Hz
 LOW_PASS_BITS = 32  # of the gain
+ROOM = 62  # bits of every sum and product
 RESIDUAL_LIMIT = 1 << (FINE_BITS - 1)  # its output is held to half a channel's range
 GYRO_EXPONENT, FORCE_EXPONENT, VELOCITY_EXPONENT = 5, 7, 5  # +-32 rad/s, 128 m/s^2, 32 m/s
 MONOMIALS = (
@@ -118,6 +119,7 @@ def make_estimator(
     if residual is not None:
         tables = _with_residual(tables, residual)
     prove_estimator(tables)
+    prove_terms(tables)
     return tables
 
 
@@ -175,6 +177,34 @@ def prove_estimator(tables: EstimatorTables) -> None:
                 f"estimator channel {name}: its sums may reach 2^{math.log2(max(checks)):.1f}, "
                 "allowed: below 2^62; take a lower cut-off"
             )
+
+
+def prove_terms(tables: EstimatorTables) -> None:
+    """Prove what the C proves on board: no sum of any measurement reaches 2^62, by bits of factors.
+
+    Raises:
+        InputError: a sum or a product that may.
+    """
+
+    def fits(a: int, b: int) -> bool:
+        return int(a).bit_length() + int(b).bit_length() <= ROOM
+
+    def scaled_fits(value: int, factor: int) -> bool:
+        size = abs(int(factor))
+        return fits((value >> 16) + 1, size + 1) and fits(0xFFFF, size)
+
+    largest, sums, fine = [int(x) for x in monomial_bounds()], [], True
+    for row in (*tables.model, *tables.differentiated):
+        fine &= all(fits(abs(int(w)), m) for w, m in zip(row, largest, strict=True) if w)
+        sums.append(sum(abs(int(w)) * m for w, m in zip(row, largest, strict=True)))
+    for index, total in enumerate(sums[: len(CHANNELS)]):
+        change = sums[len(CHANNELS) + index] if index < 3 else 0
+        x, d = (total >> MODEL_BITS) + 2 + RESIDUAL_LIMIT, (change >> DIFFERENCE_BITS) + 2
+        fine &= max(total, change) < 2**ROOM and x + d < 2 ** (ROOM - 3)
+        fine &= scaled_fits(2 * (x + d), tables.gain)
+    fine &= all(scaled_fits(1 << FINE_BITS, factor) for factor in (tables.a1, tables.a2))
+    if not fine:
+        raise InputError("estimator: its sums may reach 2^62; take a lower cut-off")
 
 
 def _feedback(sample_rate: float, cutoff: float) -> tuple[int, int]:
@@ -277,6 +307,8 @@ def _network(
         weights.append(np.rint(kernel[row] * hidden.scale * 2.0**power).astype(np.int64))
         biases.append(round(float(bias[row]) * 2.0**power))
         shifts.append(power - (FINE_BITS - exponent))
+        if shifts[-1] < 1:
+            raise InputError(f"{name} network, row {row}: outputs up to {total:.3g} are too large")
     output = FixedLayer(
         np.array(weights), np.array(biases, np.int64), np.ldexp(1.0, np.array(channels) - FINE_BITS)
     )

@@ -11,12 +11,12 @@ import math
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.export.error_bound import error_bound
 from quadjax.export.fixed import LARGEST_HIDDEN, FixedLayer, FixedNetwork
 from quadjax.export.integers import ONE, WORD
 from quadjax.policy.file import Policy
 
-ACCUMULATOR = 2**63
+SLACK = 2.0**-36  # more than the rounding of float64 in any sum here
+ACCUMULATOR = 2**63 - 2**30  # with room for a rounding half, as in the C
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,6 +62,39 @@ def prove(network: FixedNetwork, policy: Policy) -> Proof:
             inactive.append(int(np.sum(high == 0)))
     _prove_output(network, layers[-1])
     return Proof(tuple(layers), error_bound(network, policy), tuple(inactive))
+
+
+def error_bound(network: FixedNetwork, policy: Policy) -> np.ndarray:
+    """Bound of |fixed point - real arithmetic| of each command, for every input in the box.
+
+    The integer weights of a layer represent ``V = W + D`` with the real weights ``W``. With the
+    real activations ``y`` the error of the integer ones is at most ``|V| e + |D| |y| + |c| + h``:
+    the error of the inputs, that of weights and bias, and the rounding of the result, at most half
+    a unit. A ReLU and a clamp do not make it larger.
+
+    Returns:
+        (outputs,) in the command's unit.
+    """
+    exact = [tuple(np.asarray(x, np.float32).astype(np.float64) for x in p) for p in policy.layers]
+    half = 0.5 * (policy.command_high - policy.command_low)
+    middle = 0.5 * (policy.command_high + policy.command_low)
+    exact[-1] = (exact[-1][0] * half, exact[-1][1] * half + middle)
+    scale = error = network.box.ranges / ONE  # of the inputs: truncated
+    low, high = -network.box.ranges, network.box.ranges
+    for (kernel, bias), layer in zip(exact, network.layers, strict=True):
+        shift = network.output_shift if layer is network.output else WORD
+        unit = layer.scale * 2.0**-shift  # real value of one unit of the accumulator
+        fixed = layer.weights * unit[:, None] / scale
+        offset = layer.bias - 2.0 ** (shift - 1)
+        active = np.any(layer.weights, axis=1) | (offset != 0) | (layer is network.output)
+        largest = np.maximum(np.abs(low), np.abs(high))
+        local = np.abs(fixed - kernel.T) @ largest + np.abs(offset * unit - bias)
+        error = (np.abs(fixed) @ error + local + 0.5 * layer.scale) * active
+        positive, negative = np.maximum(kernel.T, 0.0), np.minimum(kernel.T, 0.0)
+        ends = (positive @ low + negative @ high + bias, positive @ high + negative @ low + bias)
+        low, high = (np.maximum(end, 0.0) for end in ends)
+        scale = layer.scale
+    return (1.0 + SLACK) * (error + 2.0**-network.fraction_bits)
 
 
 def prove_layer(

@@ -1,32 +1,21 @@
-"""C from Jinja templates: the environment, literals, tables and comments."""
+"""What an export renders: the policy as a table in C, its sizes, and texts from Jinja templates."""
 
 import functools
 import re
 from collections.abc import Iterable
 
+import jax
 import jinja2
 import numpy as np
 
+from quadjax.export.race_source import OwnRace
+from quadjax.export.targets import observed_fields
+from quadjax.export.words import FixedPolicy
+from quadjax.race import episode
+
 WIDTH = 100
-RESERVED = frozenset(
-    """
-    auto break case char const continue default do double else enum extern float for goto if inline
-    int long register restrict return short signed sizeof static struct switch typedef union
-    unsigned void volatile while
-    alignas alignof bool constexpr false nullptr static_assert thread_local true typeof
-    typeof_unqual
-    asm catch class concept consteval constinit co_await co_return co_yield const_cast decltype
-    delete dynamic_cast explicit export friend mutable namespace new noexcept operator private
-    protected public reinterpret_cast requires static_cast template this throw try typeid typename
-    using virtual wchar_t char8_t char16_t char32_t and and_eq bitand bitor compl not not_eq or
-    or_eq xor xor_eq
-    assert complex ctype errno fenv float inttypes iso646 limits locale main math memory setjmp
-    signal stdalign stdarg stdatomic stdbit stdbool stdckdint stddef stdint stdio stdlib
-    stdnoreturn string tgmath threads time uchar wchar wctype
-    stdin stdout stderr offsetof va_list va_arg va_start va_end isfinite isinf isnan isnormal
-    signbit arm_neon autopilot cstdint cstdio far i386 linux module near state unistd unix
-    """.split()
-)
+LONGEST_NAME = 31  # letters, as the words have it
+SMALLEST_WIDTH = 16  # of the runtime's buffers: the estimator's inputs
 
 
 @functools.cache
@@ -42,20 +31,7 @@ def environment() -> jinja2.Environment:
         undefined=jinja2.StrictUndefined,
         autoescape=False,
     )
-    found.filters |= {
-        "int32": literal,
-        "int64": literal_64,
-        "hex": lambda bits: f"0x{int(bits):08X}U",
-        "number": lambda value: f"{value:g}",
-        "short": lambda value: f"{value:.3g}",
-        "float32": lambda value: f"{float(value)!r}F",
-        "unsigned": lambda value: f"{value}U",
-        "wrapped": wrapped,
-        "comment": comment,
-        "string": string,
-        "each": lambda values, convert: [found.filters[convert](v) for v in np.ravel(values)],
-    }
-    found.globals |= {"table": table, "rows": rows, "zip": zip}
+    found.filters |= {"number": "{:g}".format, "short": "{:.3g}".format}
     return found
 
 
@@ -70,16 +46,17 @@ def render(template: str, values: dict[str, object]) -> str:
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)) + "\n"
 
 
-def literal(value: int) -> str:
-    """An int32 as C writes it; the most negative one has no literal of its own."""
-    return str(int(value)) if value > -(2**31) else "(-2147483647 - 1)"
+def identifier(text: str) -> str:
+    """Text as a lower-case C identifier."""
+    name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_") or "policy"
+    return name if name[0].isalpha() else f"policy_{name}"
 
 
-def literal_64(value: int) -> str:
-    """An int64 as C writes it."""
-    if value > -(2**63):
-        return f"INT64_C({int(value)})"
-    return "(-INT64_C(9223372036854775807) - 1)"
+def comment(lines: Iterable[str]) -> str:
+    """Lines of a block comment, in which no text can end it."""
+    return (
+        "\n".join(f" * {line}".rstrip() for line in lines).replace("*/", "* /").replace("/*", "/ *")
+    )
 
 
 def wrapped(items: Iterable[str], indent: str = "    ") -> str:
@@ -90,58 +67,80 @@ def wrapped(items: Iterable[str], indent: str = "    ") -> str:
             lines.append(line.rstrip())
             line = indent
         line += f"{item}, "
-    lines.append(line.rstrip().removesuffix(","))
-    return "\n".join(lines)
+    return "\n".join([*lines, line.rstrip().removesuffix(",")])
 
 
-def table(kind: str, name: str, values: np.ndarray) -> str:
-    """A ``static const`` table of one dimension."""
-    write = literal_64 if kind == "int64_t" else literal
-    body = wrapped(write(int(value)) for value in np.ravel(values))
-    return f"static const {kind} {name}[{np.size(values)}] = {{\n{body}}};"
+def policy_header(policy: FixedPolicy, data: bytes, facts: Iterable[str]) -> str:
+    """``NAME.h``: the words of a policy as a table, with what it observes.
 
-
-def rows(values: np.ndarray, convert: str) -> str:
-    """The rows of a two-dimensional initializer; ``convert`` is the filter of each number."""
-    write = environment().filters[convert]
-    return ",\n".join(
-        "    {" + wrapped(map(write, row), "     ").strip() + "}" for row in values.tolist()
+    Args:
+        policy: the policy.
+        data: its words.
+        facts: lines about where it comes from.
+    """
+    box, guard = policy.network.box, policy.name.upper()
+    words = [str(x) if x > -(2**31) else "(-2147483647 - 1)" for x in np.frombuffer(data, "<i4")]
+    lines = [f"{policy.name}: a quadcopter racing policy in fixed point, as words for qj.h.", ""]
+    lines += [*facts, "", "Inputs, in this order, each within its range:"]
+    inputs = zip(box.layout.labels, box.ranges, box.units, strict=True)
+    for number, (label, limit, unit) in enumerate(inputs):
+        lines.append(f"{number:3d}  {label:<17} +-{limit:g} {unit}")
+    lines += ["", "State, as qj_observe takes it; in brackets the range of each number:"]
+    for field in policy.race.fields:
+        ranges = ", ".join(f"{2.0**e:g}" for e in dict.fromkeys(field.exponents))
+        size = f"[{len(field.exponents)}]" if len(field.exponents) > 1 else ""
+        lines.append(f"  {field.name + size:<17} {field.note} (+-{ranges})")
+    lines += ["", "Do not edit: the loader checks the words."]
+    return (
+        f"/*\n{comment(lines)}\n */\n#ifndef {guard}_H\n#define {guard}_H\n\n"
+        "#include <stdint.h>\n\n"
+        f'#define {guard}_POLICY_SHA256 "{policy.policy_hash}"\n\n'
+        f"static const int32_t {policy.name}_words[{len(words)}] = {{\n{wrapped(words)}}};\n\n"
+        f"#endif /* {guard}_H */\n"
     )
 
 
-def comment(lines: Iterable[str]) -> str:
-    """Lines as the inside of a block comment; nothing in them can end it."""
-    return "\n".join(f" * {line.replace('*/', '* /')}".rstrip() for line in lines)
-
-
-def string(text: str) -> str:
-    """Text as a C string literal, printable ASCII only."""
-    clean = "".join(c if 32 <= ord(c) < 127 else "?" for c in text)
-    return '"' + clean.replace("\\", "\\\\").replace('"', '\\"').replace("?", "\\?") + '"'
-
-
-def identifier(text: str) -> str:
-    """Text as a lower-case C identifier that is no keyword and no name of the C library."""
-    name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_") or "policy"
-    return f"policy_{name}" if not name[0].isalpha() or is_reserved(name) else name
-
-
-def shared_symbols(sources: Iterable[str], name: str, placeholder: str) -> list[str]:
-    """Symbols that a prefix ``name`` would share with other words of the C.
-
-    Args:
-        sources: C with the prefix ``placeholder``.
-        name: the prefix to check.
-        placeholder: a prefix that occurs nowhere else.
-    """
-    words = {word for text in sources for word in re.findall(r"[A-Za-z_]\w*", text)}
-    own = {word for word in words if word.lower().startswith(f"{placeholder}_")}
-    renamed = {
-        word.replace(placeholder, name).replace(placeholder.upper(), name.upper()) for word in own
+def sizes_header(policy: FixedPolicy) -> str:
+    """``qj_sizes.h`` for one policy: no buffer of the runtime is larger than it needs."""
+    layers = list(policy.network.layers)
+    if policy.estimator is not None:
+        nets = [n for n in (policy.estimator.thrust, policy.estimator.moment) if n is not None]
+        layers += [layer for net in nets for layer in (*net.hidden, net.output)]
+    widest = max(max(layer.weights.shape) for layer in layers)
+    sizes = {
+        "WIDTH": max(SMALLEST_WIDTH, -(-widest // 8) * 8),
+        "STATE": policy.race.state_size,
+        "HISTORY": max(1, policy.race.history * policy.race.state_size),
     }
-    return sorted(renamed & (words - own))
+    lines = "".join(
+        f"#ifndef QJ_MAX_{name}\n#define QJ_MAX_{name} {size}\n#endif\n"
+        for name, size in sizes.items()
+    )
+    return f"/* Sizes of {policy.name}. */\n#ifndef QJ_SIZES_H\n#define QJ_SIZES_H\n{lines}#endif\n"
 
 
-def is_reserved(name: str) -> bool:
-    """Whether a prefix collides with a C or C++ keyword, a standard header or ``name_t`` type."""
-    return name in RESERVED or bool(re.fullmatch(r"u?int(_?(fast|least|max|ptr))?\d*(_t)?", name))
+def glue_header(policy: FixedPolicy, own: OwnRace) -> str:
+    """``quadjax_policy.h``: what the glue of an autopilot knows of its policy."""
+    track = own.params.track
+    drone = episode.hover_start(own.choices, own.params).drone
+
+    def numbers(values: Iterable[object]) -> str:
+        return "{" + ", ".join(f"{float(np.asarray(x))!r}F" for x in values) + "}"
+
+    positions = np.stack([np.asarray(x) for x in track.position.components()], axis=1)
+    rows = ", ".join(numbers(row) for row in positions)
+    values = {
+        "QUADJAX_WORDS": f"{policy.name}_words",
+        "QUADJAX_OBSERVES_QUATERNION": int("quaternion" in observed_fields(policy.race)),
+        "NUM_GATES": len(positions),
+        "QUADJAX_GATE_POSITIONS": "{" + rows + "}",
+        "QUADJAX_GATE_YAWS": numbers(np.asarray(track.yaw)),
+        "QUADJAX_START_POSITION": numbers(jax.tree.leaves(drone.position)),
+        "QUADJAX_START_YAW": f"{float(drone.angles.z)!r}F",
+    }
+    lines = "\n".join(f"#define {name} {value}" for name, value in values.items())
+    return (
+        "/* The policy that the glue flies: gates and start in m and rad, north-east-down. */\n"
+        f'#ifndef QUADJAX_POLICY_H\n#define QUADJAX_POLICY_H\n\n#include "{policy.name}.h"\n\n'
+        f"{lines}\n\n#endif /* QUADJAX_POLICY_H */\n"
+    )

@@ -10,9 +10,10 @@ from quadjax.core import mlp
 from quadjax.export import emulator
 from quadjax.export.battery_tables import BatteryTables, update_error
 from quadjax.export.conversion import Converted
-from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork
+from quadjax.export.fixed import FixedNetwork
 from quadjax.export.integers import WORD, enable_x64
 from quadjax.export.render import render
+from quadjax.export.words import VERSION
 from quadjax.policy.file import Policy
 
 BOX_SAMPLES = 20_000
@@ -45,13 +46,14 @@ def make_report(converted: Converted, file: str) -> Json:
     """
     network, rollouts, laps = converted.network, converted.rollouts, converted.rollouts.laps
     assert laps is not None
-    box, tables, unit = network.box, converted.estimator, 2.0**network.fraction_bits
+    residual = converted.own.residual
+    box, tables, unit = network.box, converted.fixed.estimator, 2.0**network.fraction_bits
     samples = {
         "random inputs": uniform_samples(network, BOX_SAMPLES, 0),
         "simulated": rollouts.observations,
     }
     return {
-        "format_version": FORMAT_VERSION,
+        "format_version": VERSION,
         "vehicle": network.model.name,
         "unit": network.unit,
         "inputs": [
@@ -65,7 +67,7 @@ def make_report(converted: Converted, file: str) -> Json:
         "error_bound": converted.proof.error_bound.tolist(),
         "measured_error": {name: _measure(converted, x) for name, x in samples.items()},
         "policy": file,
-        "policy_sha256": converted.origin.policy_hash,
+        "policy_sha256": converted.fixed.policy_hash,
         "source": converted.policy.source,
         "track": converted.own.track,
         "config": converted.own.origin,
@@ -74,10 +76,10 @@ def make_report(converted: Converted, file: str) -> Json:
         "options": dataclasses.asdict(converted.options),
         "estimator": tables
         and {
-            "residual_sha256": converted.residual_hash,
+            "residual_sha256": residual and hashlib.sha256(residual.read_bytes()).hexdigest(),
             "channel_ranges": [2.0**e for e in tables.channel_exponents],
         },
-        "battery": _battery(converted.battery),
+        "battery": _battery(converted.fixed.battery),
         "flights": {
             "runs": len(laps.crashes),
             "finished": laps.finished,

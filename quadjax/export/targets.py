@@ -1,16 +1,28 @@
-"""Targets of an export: the processor that the C runs on, and the autopilot whose files it gets.
+"""Targets of an export: one row each, and the glue of an autopilot in ``runtime/glue``.
 
-The network, the observation and the estimator are the same C for every target. A target adds the
-files of an autopilot, and says on which processor the verification emulates the C.
+Every target flies the same C runtime. A row says what its autopilot measures and takes, how often
+it calls the pilot, where the files go, and on which processor the verification emulates the C.
 """
 
 import dataclasses
+from pathlib import Path
+
+import numpy as np
 
 from quadjax.core.errors import InputError
+from quadjax.export.fixed import FixedNetwork
+from quadjax.export.race_tables import RaceTables
+from quadjax.export.words import COMMAND_KINDS, OTHER_COMMANDS, STATE_FIELDS
+from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM
+from quadjax.vehicle.registry import MODELS
 
-PAPARAZZI, INDIFLIGHT = "Paparazzi", "INDIflight"
-PX4, CRAZYFLIE = "PX4", "Crazyflie"
-QJP = ".qjp"  # any autopilot that loads the policy as a file
+RUNTIME = Path(__file__).parent / "runtime"
+ANGLES, ROTORS = ("euler", "quaternion"), ("rotor_speed",)
+SENSORS = "sensors"  # gyro, specific force and body velocity, of the estimators
+EVERYTHING = (*ANGLES, *ROTORS, "rpm", "thrust", SENSORS)
+ALWAYS = ("position", "velocity", "rates", "last_command")
+RPM, MOTOR, RATES = COMMAND_KINDS["rpm"], COMMAND_KINDS["motor_command"], OTHER_COMMANDS
+UNTESTED = "against stand-ins of the firmware's headers; not on hardware or in the real firmware"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,44 +30,43 @@ class Target:
     """A processor, and the autopilot whose files are written."""
 
     name: str  # as of ``quadjax export --target``
-    processor: str  # as in the names of the checks
-    autopilot: str | None  # None: no files but those that every autopilot can use
+    processor: str
+    autopilot: str  # for messages
+    folder: str  # of the C in the export
+    glue: str = ""  # folder of runtime/glue; "": the user's firmware calls the pilot
+    gives: tuple[str, ...] = EVERYTHING  # what it measures besides position, velocity and rates
+    kinds: tuple[int, ...] = (RPM, MOTOR, RATES)  # of commands that it takes
+    calls: float | None = None  # of the pilot, Hz; None: one call a step of the policy
+    every_call: bool = True  # a policy that observes no earlier step runs at every call
+    as_file: bool = False  # the policy is NAME.qjp; else the table of NAME.h
+    tested: str = UNTESTED
 
 
-AS_FILE = (QJP, PX4, CRAZYFLIE)  # autopilots that load NAME.qjp
+PX4_MODULE = "px4/src/modules/quadjax_policy"  # in EXTERNAL_MODULES_LOCATION
+CALLED = "the runtime and its pilot; the call in your firmware is yours"
+BEBOP = (*ANGLES, "rpm", "thrust", SENSORS)
 TARGETS = {
     target.name: target
     for target in (
-        Target("cortex-a9", "Cortex-A9", PAPARAZZI),
-        Target("cortex-m7", "Cortex-M7", None),
-        Target("cortex-m4", "Cortex-M4", None),
-        Target("indiflight", "Cortex-M7", INDIFLIGHT),
-        Target("qjp", "Cortex-M7", QJP),
-        Target("px4", "Cortex-M7", PX4),
-        Target("crazyflie", "Cortex-M4", CRAZYFLIE),
+        Target("cortex-a9", "Cortex-A9", "Paparazzi", "paparazzi", "paparazzi", BEBOP,
+               (RPM, RATES), 512.0),
+        Target("cortex-m7", "Cortex-M7", "your firmware", "c", tested=CALLED),
+        Target("cortex-m4", "Cortex-M4", "your firmware", "c", tested=CALLED),
+        Target("indiflight", "Cortex-M7", "INDIflight", "indiflight", "indiflight",
+               (*ANGLES, *ROTORS), (MOTOR,), 500.0),
+        Target("qjp", "Cortex-M7", "your firmware", "qjp", as_file=True, tested=CALLED),
+        Target("px4", "Cortex-M7", "PX4", PX4_MODULE, "px4", (*ANGLES, *ROTORS), (MOTOR,),
+               as_file=True),
+        Target("crazyflie", "Cortex-M4", "Crazyflie", "crazyflie/src", "crazyflie", ANGLES,
+               (MOTOR,), 1000.0, every_call=False),
     )
-}
+}  # fmt: skip
 DEFAULT_TARGET = "cortex-a9"
-MOTOR_MODELS = ("racing", "a2rl")  # vehicle models whose commands are 0 to 1
-MOTOR_TARGETS = ("indiflight", "px4", "crazyflie")  # whose autopilots take motor commands
-
-
-def check_model(target: str, model: str) -> None:
-    """Check that a target's autopilot takes the commands of a vehicle model.
-
-    Raises:
-        InputError: another vehicle model than those with motor commands.
-    """
-    if target in MOTOR_TARGETS and model not in MOTOR_MODELS:
-        raise InputError(
-            f"--target {target}: the policy's vehicle model is {model!r}, allowed: "
-            f"{', '.join(MOTOR_MODELS)}, whose motor commands are 0 to 1"
-        )
-
-
-def has_estimator(target: str) -> bool:
-    """Whether an export for a target has the disturbance estimator's C: a file has none."""
-    return TARGETS[target].autopilot not in AS_FILE
+PLACES = {  # of glue files that do not lie next to the runtime
+    "crazyflie": {"Kbuild": "..", "Makefile": "..", "app-config": ".."},
+}
+RENAMED = {"src_Kbuild": "Kbuild"}
+MOST_GATES = 255  # of INDIflight's target_gate_index, a uint8_t
 
 
 def find_target(name: str) -> Target:
@@ -67,3 +78,121 @@ def find_target(name: str) -> Target:
     if name not in TARGETS:
         raise InputError(f"--target {name}: no such target, allowed: {', '.join(TARGETS)}")
     return TARGETS[name]
+
+
+def target_of(name: str, model: str) -> Target:
+    """The target for a vehicle model; without an autopilot's files where it has none for it.
+
+    Raises:
+        InputError: no such target, or one whose autopilot does not take the model's commands.
+    """
+    target, kind = find_target(name), kind_of(model)
+    if kind in target.kinds:
+        return target
+    if target.name == DEFAULT_TARGET:
+        return dataclasses.replace(TARGETS["cortex-m7"], name=name, processor=target.processor)
+    allowed = [own for own in MODELS if kind_of(own) in target.kinds]
+    raise InputError(
+        f"--target {name}: the policy's vehicle model is {model!r}, allowed: {', '.join(allowed)}"
+    )
+
+
+def kind_of(model: str) -> int:
+    """The kind of a vehicle model's commands."""
+    return COMMAND_KINDS.get(MODELS[model].commands[0].name, OTHER_COMMANDS)
+
+
+def observed_fields(race: RaceTables) -> set[str]:
+    """The fields of the state that an observation is computed from, but for those seen as zero."""
+    names = [(field.name, field.start, len(field.exponents)) for field in race.fields]
+    sources = {
+        source
+        for part in race.inputs
+        if part.kind != "gate"
+        for source, own in zip(part.sources, part.rescales or (True,) * 4, strict=False)
+        if own is not None
+    }
+    return {name for name, start, size in names if sources & set(range(start, start + size))}
+
+
+def check_target(target: Target, network: FixedNetwork, race: RaceTables) -> None:
+    """Check that an autopilot can fly a policy; the pilot on board checks the same.
+
+    Raises:
+        InputError: commands out of range, a number that is not measured, too many gates, or a time
+            step that is no whole number of calls.
+    """
+    start, unit = f"--target {target.name}", 2.0**network.fraction_bits
+    low, high = network.command_low / unit, network.command_high / unit
+    if kind_of(network.model.name) == MOTOR and (np.any(low < 0.0) or np.any(high > 1.0)):
+        raise InputError(
+            f"{start}: motor commands {low.tolist()}..{high.tolist()}, allowed: 0 to 1"
+        )
+    gives = {*ALWAYS, *target.gives}
+    if {SENSORS, "rpm"} <= gives:
+        gives |= {*DISTURBANCES, HIGHEST_RPM}
+    for name in sorted(observed_fields(race) - gives):
+        hint = ""
+        if name in ROTORS:
+            hint = "; train with observation.actuators=false observation.last_action=true"
+        raise InputError(
+            f"{start}: the policy observes {name}, which {target.autopilot} does not give{hint}"
+        )
+    if target.name == "indiflight" and race.gates > MOST_GATES:
+        raise InputError(f"{start}: {race.gates} gates, allowed: {MOST_GATES}")
+    held = race.box.layout.counts_steps or not target.every_call
+    if target.calls and held and not calls_per_step(target.calls, race.time_step):
+        raise InputError(
+            f"{start}: the time step is {race.time_step:g} s, allowed: whole periods of "
+            f"{target.calls:g} Hz within {STEP_ERROR:.0%}"
+        )
+
+
+STEP_ERROR = (
+    0.05  # of a step of the policy, where an autopilot calls the pilot several times in one
+)
+
+
+def calls_per_step(frequency: float, time_step: float) -> int:
+    """Calls at a frequency, Hz, in a step, s; 0 where no whole number is within ``STEP_ERROR``."""
+    calls = round(frequency * time_step)
+    return calls if calls and abs(calls - frequency * time_step) <= STEP_ERROR * calls else 0
+
+
+def pilot_options(target: Target, call_ns: int, disturbances: bool = False) -> list[str]:
+    """Compiler options: the interface of a target's autopilot, for C that stands in for it.
+
+    Args:
+        target: the target.
+        call_ns: between two calls of the pilot.
+        disturbances: external moment and force are given too.
+    """
+    names = [*target.gives, *(DISTURBANCES if disturbances else ())]
+    bits = sum(
+        1 << (16 if name == SENSORS else 1 + STATE_FIELDS.index(name)) for name in set(names)
+    )
+    kinds = sum(1 << kind for kind in target.kinds)
+    values = {"GIVES": bits, "KINDS": kinds, "CALL_NS": call_ns}
+    values["EVERY_CALL"] = int(target.every_call)
+    return [f"-DINTERFACE_{name}={value}U" for name, value in values.items()]
+
+
+def runtime_files(target: Target) -> dict[str, str]:
+    """The C runtime and the glue of a target, as they are, by path in the export."""
+    files = {path.name: path for path in sorted(RUNTIME.glob("qj*.[ch]"))}
+    del files["qj_sizes.h"]  # an export has its own
+    if target.glue:
+        places = PLACES.get(target.glue, {})
+        for path in sorted((RUNTIME / "glue" / target.glue).iterdir()):
+            name = RENAMED.get(path.name, path.name)
+            files["../" + name if path.name in places else name] = path
+    return {
+        (Path(target.folder) / name).as_posix().replace("/src/..", ""): path.read_text("utf-8")
+        for name, path in files.items()
+    }
+
+
+def sources_of(target: Target) -> list[str]:
+    """The C files of the runtime in the export of a target; that of angles is for glue alone."""
+    names = sorted(path.name for path in RUNTIME.glob("qj_*.c"))
+    return [f"{target.folder}/{name}" for name in names if name != "qj_angles.c"]

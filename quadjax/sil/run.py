@@ -23,7 +23,7 @@ from quadjax.evaluation.table import counted, lap_table
 from quadjax.export.verify.folder import Inputs, read_inputs
 from quadjax.flights.files import save
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.flights import check_steps, plan_race, race_config
+from quadjax.plant.flights import plan_race, race_config
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import fit_race
 from quadjax.race.laps import Laps
@@ -40,7 +40,7 @@ from quadjax.sil.peer import (
 )
 from quadjax.sil.plant_world import PlantWorld
 from quadjax.sil.simulator_world import simulator_world
-from quadjax.sil.source import check_byte_order, header_text, write_sources
+from quadjax.sil.source import check_byte_order, header_text, label_of, write_sources
 from quadjax.sil.worlds import World, command_kind
 from quadjax.training.build import untrained_policy
 
@@ -185,8 +185,6 @@ def fly_all(
     inputs, config, policy = _read(setting)
     laps = setting.laps or config.evaluate.laps
     world = make_world(config, policy, setting.plant, laps)
-    if inputs is not None:
-        check_steps(inputs.policy.layout, inputs.own.time_step, world.step)
     races: list[Race] = []
     with _autopilot(setting, inputs, world, stop, report) as (peer, names):
         for run in range(setting.runs):
@@ -242,7 +240,8 @@ def _autopilot(
         sources = write_sources(setting.source, inputs, 1.0 / world.step, Path(work))
         report("building the C")
         program = sources.build(Path(work))
+        label = label_of(program, setting.source)
         _compile(world, report)
         with running(program, own.getsockname()[1]):
             with greeted(own, kind, START_SECONDS, stop) as peer:
-                yield peer, (sources.label, sources.text)
+                yield peer, (label, sources.text)

@@ -1,33 +1,23 @@
 """The exported C of a folder behind the messages, compiled for this machine."""
 
 import dataclasses
+import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file
-from quadjax.export.indiflight import FOLDER, MOTORS
-from quadjax.export.qjp.autopilots import RUNTIMES, Runtime, words_header
-from quadjax.export.race_tables import state_sizes
-from quadjax.export.render import render
-from quadjax.export.targets import AS_FILE, INDIFLIGHT, find_target
+from quadjax.export.render import render, wrapped
+from quadjax.export.targets import RUNTIME, pilot_options, sources_of, target_of
 from quadjax.export.verify.folder import Inputs
 from quadjax.export.verify.result import Failed, Skipped
 from quadjax.export.verify.toolchain import Compiler, host
-from quadjax.race.observations import HIGHEST_RPM
-from quadjax.sil.message import (
-    DTYPES,
-    HEADER,
-    HEADER_FIELDS,
-    PAYLOADS,
-    RPM_PER_RAD_S,
-    VERSION,
-    Fields,
-    Kind,
-)
+from quadjax.sil.message import DTYPES, HEADER, HEADER_FIELDS, PAYLOADS, VERSION, Fields, Kind
 from quadjax.sil.worlds import command_kind
 
-SAME_RATE = 1e-6  # relative difference of rates that count as equal
+HOST = RUNTIME / "host"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,9 +26,7 @@ class Sources:
 
     files: tuple[Path, ...]
     include: Path
-    label: str  # for the table
     text: str  # the files that fly, and the autopilot's glue that does not
-    own_estimator: bool  # the export's disturbance estimator runs, not the drone's
     options: tuple[str, ...]  # of the compiler
 
     def build(self, work: Path, shared: bool = False) -> Path:
@@ -52,14 +40,26 @@ class Sources:
             InputError: no compiler, or C that does not compile.
         """
         output = work / ("autopilot.so" if shared else "autopilot")
-        own = [work / "autopilot.c"] if shared else [work / "autopilot.c", work / "process.c"]
+        own = [HOST / "sil.c"] if shared else [HOST / "sil.c", HOST / "process.c"]
         options = ["-shared", "-fPIC"] if shared else []
         options += [f"-I{self.include}", f"-I{work}", *self.options]
         try:
             compiler = _unchanged_arithmetic(host())
-            return compiler.build([*self.files, *own], output, [*options, "-lm"])
+            return compiler.build([*self.files, *own], output, options)
         except (Skipped, Failed) as error:
             raise InputError(f"{self.include}: the C cannot be compiled: {error}") from None
+
+
+def label_of(program: Path, folder: Path) -> str:
+    """The name of an autopilot that is built, for the table.
+
+    Raises:
+        InputError: its pilot refuses the policy.
+    """
+    done = subprocess.run([str(program)], capture_output=True, text=True)
+    if done.stdout.strip():
+        raise InputError(f"{folder}: the policy cannot fly here: {done.stdout.strip()}")
+    return "exported C, its own estimator" if done.returncode else "exported C"
 
 
 def _unchanged_arithmetic(compiler: Compiler) -> Compiler:
@@ -68,11 +68,10 @@ def _unchanged_arithmetic(compiler: Compiler) -> Compiler:
 
 
 def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sources:
-    """Write the C around an exported folder.
+    """Write the C around the pilot of an exported folder, with what its autopilot measures.
 
-    A policy as a file flies by its loader, and by its pilot where the export has one.
-    The disturbance estimator of the export runs if it was exported for the rate of the messages.
-    The estimator of the highest propeller speed must have been exported for that rate.
+    External moment and force are those of the drone, unless the policy's own estimator runs, which
+    was exported for the rate of the messages.
 
     Args:
         folder: of ``quadjax export``.
@@ -81,87 +80,23 @@ def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sour
         work: a folder for the files.
 
     Raises:
-        InputError: a C file is missing; an estimator of the highest speed for another rate.
+        InputError: a C file is missing.
     """
-    autopilot = find_target(inputs.options.target).autopilot
-    if autopilot in AS_FILE:
-        sources = _of_file(folder, inputs, RUNTIMES[autopilot], work)
-    else:
-        sources = _generated(folder, inputs, rate, work)
-    for path in sources.files:
+    name, model = inputs.options.name, inputs.own.choices.model
+    target = target_of(inputs.options.target, model.name)
+    files = tuple(folder / file for file in sources_of(target))
+    for path in (*files, folder / f"{name}.qjp"):
         check_file(path)
-    (work / "process.c").write_text(render("sil/process.c", _values(inputs)))
+    words = np.frombuffer((folder / f"{name}.qjp").read_bytes(), "<i4")
+    body = wrapped(str(x) if x > -(2**31) else "(-2147483647 - 1)" for x in words.tolist())
+    table = f"static const int32_t quadjax_words[{len(words)}] = {{\n{body}}};\n"
+    (work / "quadjax_words.h").write_text(table)
     (work / "message.h").write_text(header_text(functions=True))
-    return sources
-
-
-def _values(inputs: Inputs) -> dict[str, object]:
-    """Values of all templates."""
-    name, model, policy = inputs.options.name, inputs.own.choices.model, inputs.policy
-    rpm = model.commands[0].unit == "rpm"
-    return {
-        "name": name,
-        "NAME": name.upper(),
-        "rpm": rpm,
-        "rpm_per_rad_s": RPM_PER_RAD_S,
-        "command_type": "uint16_t" if rpm else "float",
-        "halfway": 0.5 * (policy.command_low + policy.command_high),
-        "command_kind": int(command_kind(model)),
-    }
-
-
-def _of_file(folder: Path, inputs: Inputs, runtime: Runtime, work: Path) -> Sources:
-    """The loader, or the pilot, with the words of the file."""
-    values, words = _values(inputs), folder / f"{inputs.options.name}.qjp"
-    check_file(words)
-    values |= {"pilot": runtime.has_pilot, "rotor_speeds": int(runtime.rotor_speeds)}
-    (work / "autopilot.c").write_text(render("sil/qjp_autopilot.c", values))
-    (work / "qjp_data.h").write_text(words_header(inputs.options.name, words.read_bytes()))
-    files = tuple(folder / file for file in runtime.files)
-    text = f"{words.name}, {runtime.folder}/{{{','.join(runtime.names)}}}"
-    text += f"; without {runtime.glue}" if runtime.glue else ""
-    label = "pilot of the .qjp" if runtime.has_pilot else "loader of the .qjp"
-    return Sources(files, folder / runtime.folder, label, text, False, runtime.options)
-
-
-def _generated(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sources:
-    """The generated C, or INDIflight's."""
-    name = inputs.options.name
-    indiflight = find_target(inputs.options.target).autopilot == INDIFLIGHT
-    if indiflight:
-        names = [f"{FOLDER}/neural_network.c", f"{FOLDER}/nn_controller.c"]
-    else:
-        names = [f"{name}.c", f"{name}_race.c"]
-    fields = state_sizes(inputs.own.choices.layout, inputs.own.choices.model)
-    same_rate = abs(inputs.options.sample_rate / rate - 1.0) < SAME_RATE
-    own = "moment_ext" in fields and same_rate and (folder / f"{name}_estimator.c").is_file()
-    names += [f"{name}_estimator.c"] if own else []
-    battery = HIGHEST_RPM in fields
-    if battery and not same_rate:
-        raise InputError(_other_rate(inputs.options.sample_rate, rate))
-    names += [f"{name}_battery.c"] if battery else []
-    values = {
-        "fields": list(fields),
-        "indiflight": indiflight,
-        "own_estimator": own,
-        "battery": battery,
-        "motors": MOTORS,
-    }
-    (work / "autopilot.c").write_text(render("sil/autopilot.c", _values(inputs) | values))
-    module = f"paparazzi/{name}_module.c"
-    text = ", ".join(names) + (f"; without {module}" if (folder / module).is_file() else "")
-    label = "INDIflight's nn_control" if indiflight else "exported C"
-    label += ", its own estimator" if own else ""
-    include = folder / FOLDER if indiflight else folder
-    options = (f"-DNN_CONTROL_HZ={round(rate)}",) if indiflight else ()
-    return Sources(tuple(folder / file for file in names), include, label, text, own, options)
-
-
-def _other_rate(exported: float, rate: float) -> str:
-    return (
-        f"the policy observes {HIGHEST_RPM}, whose estimator was exported for {exported:g} Hz; the "
-        f"drone's control steps are at {rate:g} Hz: export it with --sample-rate {rate:g}"
-    )
+    text = f"{name}.qjp, {target.folder}/{{{','.join(path.name for path in files)}}}"
+    text += f"; without the glue of {target.autopilot}" if target.glue else ""
+    options = [*pilot_options(target, round(1e9 / rate), disturbances=True)]
+    options.append(f"-DCOMMAND_KIND={int(command_kind(model))}")
+    return Sources(files, folder / target.folder, text, tuple(options))
 
 
 def header_text(functions: bool = False) -> str:
@@ -175,7 +110,7 @@ def header_text(functions: bool = False) -> str:
     sizes = {f"sil_{kind.name.lower()}": DTYPES[kind].itemsize for kind in Kind}
     sizes["sil_header"] = HEADER.itemsize
     values = {"version": VERSION, "structs": structs, "sizes": sizes, "functions": functions}
-    return render("sil/message.h", values)
+    return render("message.h", values)
 
 
 def check_byte_order() -> None:

@@ -1,6 +1,5 @@
 """Made-up policies, and what the tests of the export package share."""
 
-import ctypes
 import dataclasses
 import shutil
 from pathlib import Path
@@ -13,13 +12,15 @@ from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.resources import CONFIGS
 from quadjax.export import flights
+from quadjax.export.battery_tables import make_battery
+from quadjax.export.cases import make_cases
 from quadjax.export.convert import export_c
-from quadjax.export.emit import Provenance, emit_network, emit_race
 from quadjax.export.fixed import FixedNetwork, convert
 from quadjax.export.race_source import OwnRace
-from quadjax.export.race_tables import RaceTables, state_sizes
-from quadjax.export.verify.harness import load_library
-from quadjax.export.verify.toolchain import WARNINGS, host
+from quadjax.export.race_tables import make_tables, state_sizes, track_ranges
+from quadjax.export.targets import TARGETS
+from quadjax.export.verify.build import Library, Sources
+from quadjax.export.words import FixedPolicy, pack
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import command_ranges
 from quadjax.policy.release1 import layout_of_release_1
@@ -31,7 +32,6 @@ from quadjax.vehicle.residual import Residual, write_residual
 
 DISTURBANCE = {"moment_x": 0.03, "moment_y": 0.03, "moment_z": 0.01, "force_z": 0.5}
 WIDE = {"position": 32.0, "velocity": 64.0, "rates": 1024.0, "next_position": 8.0}
-ORIGIN = Provenance("made", "00" * 32, ("Policy   made up",), "tests")
 
 
 def made_policy(
@@ -198,19 +198,29 @@ def random_rollouts(own: OwnRace, velocity: float = 1.0) -> flights.Rollouts:
     return flights.Rollouts(rows, states, targets, none, count)
 
 
-def race_library(
-    network: FixedNetwork, tables: RaceTables, folder: Path, states, targets, replace=("", "")
-) -> ctypes.CDLL:
-    """The C of a network and its race as a library; the text of the race may be changed."""
-    folder.mkdir(exist_ok=True)
-    files = emit_network(network, ORIGIN, None)
-    files |= emit_race(tables, network, ORIGIN, states, targets)
-    assert replace[0] in files["made_race.c"]
-    files["made_race.c"] = files["made_race.c"].replace(*replace)
-    for file, text in files.items():
-        (folder / file).write_text(text)
-    sources = [folder / "made.c", folder / "made_race.c"]
-    return load_library(host(), sources, folder / "made.so", [] if replace[0] else WARNINGS)
+def fixed_policy(policy, own, states=None, targets=None, battery=None, estimator=None, **changes):
+    """A policy as integers; fields of its race's tables may be changed."""
+    wide = {"position": 32.0} if "position" in policy.layout else {}
+    network = convert(policy, track_ranges(policy.layout, own.params.track) | wide)
+    race = make_tables(network.box, policy, own.choices, own.params)
+    race = dataclasses.replace(race, **changes)
+    if states is None:
+        rng = np.random.default_rng(0)
+        states = random_states(rng, 20, own, policy.command_low, policy.command_high)
+        targets = rng.integers(0, race.gates, 20)
+    if battery is None and HIGHEST_RPM in policy.layout:
+        battery = make_battery(own.params.vehicle.constants, 10_000.0, 1.0 / own.time_step)
+    tables = (network, race, estimator, battery)
+    cases = make_cases(*tables, None, states, targets)
+    return FixedPolicy("made", *tables, "ab" * 32, own.time_step, cases)
+
+
+def library(fixed, folder, target="qjp"):
+    """The C runtime of a target on this machine, with a policy loaded: its self-tests pass."""
+    words = pack(fixed)
+    folder.mkdir(parents=True, exist_ok=True)
+    sources = Sources.write(TARGETS[target], None, folder, fixed)
+    return Library(sources, fixed, words, folder)
 
 
 def observations(network: FixedNetwork, count: int, seed: int = 0) -> np.ndarray:
@@ -232,13 +242,6 @@ def need(program: str) -> str:
     if found is None:
         pytest.skip(f"no {program} on this machine")
     return found
-
-
-def write_network(network: FixedNetwork, folder: Path) -> Path:
-    """The emitted network in a folder; returns its source."""
-    for name, text in emit_network(network, ORIGIN, None).items():
-        (folder / name).write_text(text)
-    return folder / "made.c"
 
 
 POLICIES = {

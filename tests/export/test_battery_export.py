@@ -16,20 +16,17 @@ from quadjax.export import battery_emulator, emulator
 from quadjax.export.battery_emulator import FINE, Memory
 from quadjax.export.battery_tables import FINE_BITS, make_battery, update_error
 from quadjax.export.conversion import Options, convert_policy
-from quadjax.export.emit import emit_battery, emit_network
 from quadjax.export.fixed import convert
 from quadjax.export.flights import Rollouts
-from quadjax.export.integers import enable_x64, quantize, status_masks
+from quadjax.export.integers import enable_x64, quantize
 from quadjax.export.race_source import check_race, own_race
 from quadjax.export.verify import measurements
-from quadjax.export.verify.harness import load_library
-from quadjax.export.verify.toolchain import WARNINGS, host
 from quadjax.race import environment
 from quadjax.sil.message import RPM_PER_RAD_S, Kind, new
 from quadjax.sil.run import make_world
-from quadjax.sil.source import write_sources
+from quadjax.sil.source import label_of, write_sources
 from quadjax.vehicle.battery import limit_estimator, middle_limit
-from tests.export.support import ORIGIN, made_policy, untrained
+from tests.export.support import fixed_policy, library, untrained
 from tests.sil.test_exported import FLOATS, written
 
 BATTERY, UNDISTURBED = "battery.charge=[0.1, 1.0]", "observation.disturbance=none"
@@ -123,68 +120,16 @@ def test_one_sample_is_within_its_bound_from_any_memory(rate):
         assert bound < 1e-5
 
 
-def emitted(tables, folder, change=("", "")):
-    """The C of the estimator as a library; the text of its source may be changed."""
-    network = convert(made_policy(8))
-    files = emit_network(network, ORIGIN, None) | emit_battery(tables, network, ORIGIN)
-    assert change[0] in files["made_battery.c"]
-    files["made_battery.c"] = files["made_battery.c"].replace(*change, 1)
-    folder.mkdir(exist_ok=True)
-    for file, text in files.items():
-        (folder / file).write_text(text)
-    sources = [folder / "made.c", folder / "made_battery.c"]
-    return load_library(host(), sources, folder / "made.so", WARNINGS if not change[0] else [])
-
-
-class Status(ctypes.Structure):
-    """What an update returns."""
-
-    _fields_ = (("clipped", ctypes.c_uint32), ("nan", ctypes.c_uint32))
-
-
-def estimates(library, log):
-    """The estimates (n,) and the status (n, 2) of the C along samples (n, 8), after a reset."""
-    state, out, found = (ctypes.c_uint64 * 14)(*range(14)), ctypes.c_float(), []
-    update = library.made_battery_update
-    update.restype = Status
-    library.made_battery_reset(state)
-    for row in np.ascontiguousarray(log):
-        status = update(state, row.ctypes.data_as(ctypes.c_void_p), ctypes.byref(out))
-        found.append((out.value, status.clipped, status.nan))
-    return np.float32([row[0] for row in found]), np.uint32([row[1:] for row in found])
-
-
-CHANGES = [
-    ("command >= limit) ? limit", "command > limit) ? command"),
-    ("LEAD, LEAD_BITS", "LEAD + 1, LEAD_BITS"),
-    ("scaled(sum, GAIN, GAIN_BITS)", "scaled(sum, GAIN, GAIN_BITS) + 1"),
-    ("highest > HIGHEST", "highest > ONE"),
-    ("highest < LOWEST", "highest < 0"),
-    ("(command >= limit) ? ONE", "(command > limit + ONE) ? ONE"),
-    ("value + (INT64_C(1) << (shift - 1))", "value"),
-]
-
-
 def test_the_c_has_the_bits_of_the_emulator(tmp_path):
-    rng, tables = np.random.default_rng(2), make_battery(constants(), 10300.0)
-    library = emitted(tables, tmp_path / "right")
-    assert library.made_battery_self_test() == 0
-    bursts = measurements.full_power_bursts(rng, constants(), 512.0, 1.0)
+    rng, tables = np.random.default_rng(2), make_battery(constants(), 10300.0, 100.0)
+    policy, own, _ = made()
+    c = library(fixed_policy(policy, own, battery=tables), tmp_path)
+    bursts = measurements.full_power_bursts(rng, constants(), 100.0, 5.0)
     log = np.concatenate([bursts, random_samples(rng, tables, 500), bursts])
     for samples in (log, bursts[200:]):  # the second one after a reset
-        found, status = estimates(library, samples)
+        found = c.highest_rpm(samples)
         assert np.array_equal(found, battery_emulator.run(tables, samples[None])[0])
-        masks = np.stack(status_masks(samples, tables.exponents), axis=1)
-        assert np.array_equal(status, masks)
-    assert masks.max() == 0 and np.ptp(found) > 50.0
-
-
-@pytest.mark.slow
-def test_the_self_test_sees_a_change(tmp_path):
-    tables = make_battery(constants(), 10300.0)
-    for number, change in enumerate(CHANGES):
-        library = emitted(tables, tmp_path / str(number), change)
-        assert library.made_battery_self_test() > 0, change
+    assert np.ptp(found) > 50.0
 
 
 def test_motors_without_room_for_the_proof_are_refused():
@@ -202,11 +147,10 @@ def test_what_cannot_be_exported_is_one_line(tmp_path):
     policy.save(tmp_path / "policy.npz")
     with pytest.raises(InputError, match="trained in another race.*: battery.*in training"):
         check_race(policy, own_race(other, policy, "config"), tmp_path / "policy.npz")
-    qjp = convert_policy(
-        policy, own, Options("made", target="qjp"), "policy", tmp_path / "policy.npz", NOTHING
-    )
-    with pytest.raises(InputError, match="a .qjp file has no 'highest_rpm'; its state has: "):
-        qjp.binaries()
+    with pytest.raises(InputError, match="target px4: the policy's vehicle model is 'motor'"):
+        convert_policy(
+            policy, own, Options("made", target="px4"), "policy", tmp_path / "policy.npz", NOTHING
+        )
 
 
 def on_board(folder, rate):
@@ -231,14 +175,14 @@ def test_the_c_on_board_observes_what_the_simulator_does(tmp_path):
     world = make_world(inputs.config, inputs.policy, None, 1)
     sources = write_sources(tmp_path, inputs, 100.0, tmp_path)
     library = ctypes.CDLL(str(sources.build(tmp_path, shared=True)))
-    assert library.sil_self_test() == 0
+    assert library.sil_load() == 0
     library.sil_begin()
     policy, own, _ = made()
     observe = jax.jit(functools.partial(environment.observe, world.choices))
     network = convert(policy, {"position": 32.0})
     now, apart, limits = begun(world), [], []
-    for _ in range(150):
-        state, command = new(Kind.STATE), new(Kind.COMMAND)
+    for number in range(150):
+        state, command = new(Kind.STATE, time_s=number / 100.0), new(Kind.COMMAND)
         values = np.split(now.numbers, np.cumsum([state[name].size for name in FLOATS])[:-1])
         for name, value in zip(FLOATS, values, strict=True):
             state[name] = value.reshape(state[name].shape)
@@ -258,5 +202,6 @@ def test_the_c_on_board_observes_what_the_simulator_does(tmp_path):
 @pytest.mark.slow
 def test_sil_refuses_an_estimator_of_another_rate(tmp_path):
     inputs = on_board(tmp_path, 512.0)
-    with pytest.raises(InputError, match="for 512 Hz; the drone's.* 100 Hz: export it with --sam"):
-        write_sources(tmp_path, inputs, 100.0, tmp_path)
+    sources = write_sources(tmp_path, inputs, 100.0, tmp_path)
+    with pytest.raises(InputError, match="cannot fly here: .*the highest rpm is for another rate"):
+        label_of(sources.build(tmp_path), tmp_path)

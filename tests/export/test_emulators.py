@@ -10,9 +10,9 @@ from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.export import emulator
 from quadjax.export.actor import fixed_point_actor, fixed_point_fly, fixed_point_forward
+from quadjax.export.cases import check_vectors, hostile_vectors
 from quadjax.export.proof import prove
 from quadjax.export.race_source import own_race
-from quadjax.export.vectors import check_vectors, hostile_vectors
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy

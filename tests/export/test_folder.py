@@ -6,7 +6,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -20,42 +19,21 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_npz
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.export import convert, flights
-from quadjax.export.conversion import check_symbols, sha256
+from quadjax.export.conversion import sha256
 from quadjax.export.convert import export_c
 from quadjax.export.race_source import own_race
+from quadjax.export.read import read_qjp, unpack
 from quadjax.export.verify import run, toolchain
-from quadjax.export.verify.context import Context
+from quadjax.export.verify.checks import CHECKS
 from quadjax.export.verify.folder import read_folder
-from quadjax.export.verify.result import FAILED, PASSED, SKIPPED, run_check
-from quadjax.export.verify.toolchain import WARNINGS
+from quadjax.export.verify.result import FAILED, PASSED, SKIPPED
+from quadjax.export.words import pack
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
-from tests.export.support import TRACK, WIDE, made_policy, need, random_rollouts, tree_of
-from tests.export.test_layouts import converted_in, made
+from tests.commands import run as command
+from tests.export.support import TRACK, WIDE, made_policy, random_rollouts, tree_of
 
-STUBS = Path(__file__).parent / "paparazzi_stubs"
 COUNT = 2000
-
-
-@pytest.fixture(scope="module")
-def context(exported, tmp_path_factory):
-    return Context(read_folder(exported), tmp_path_factory.mktemp("work"), COUNT, 8, True, True)
-
-
-@pytest.fixture(scope="module")
-def context_flown(flown, tmp_path_factory):
-    return Context(read_folder(flown), tmp_path_factory.mktemp("work"), COUNT, 8, True, True)
-
-
-FAST = ("NumPy = JAX", "NumPy = C, host", "hostile inputs", "accuracy", "observation")
-OF_THE_VEHICLE = (  # what a rate-level policy has of its own
-    "NumPy = C, host",
-    "hostile inputs",
-    "observation",
-    "gate logic",
-    "Cortex-A9 NEON, zig",
-    "closed loop",
-)
 
 
 def justified(reason):
@@ -87,58 +65,77 @@ ALLOWED = {  # skipped checks of the folder, whose race and flights its options 
 }
 
 
-def check(name, context):
-    result = run_check(name, lambda: run.CHECKS[name](context))
-    if name in ALLOWED:
-        assert result.verdict == SKIPPED and result.figure.endswith(ALLOWED[name])
-        return
-    if result.verdict == SKIPPED:
-        assert justified(result.figure), f"skipped without need: {result.figure}"
-        pytest.skip(result.figure)
-    assert result.verdict != FAILED, result.figure
+def check_all(results):
+    for result in results:
+        if result.verdict == SKIPPED and result.check in ALLOWED:
+            assert result.figure.endswith(ALLOWED[result.check])
+        elif result.verdict == SKIPPED:
+            assert result.figure.startswith("the policy observes nothing that is estimated") or (
+                justified(result.figure)
+            ), f"skipped without need: {result.figure}"
+        else:
+            assert result.verdict == PASSED, result.figure
 
 
-@pytest.mark.parametrize("name", FAST)
-def test_a_check_of_an_exported_folder(name, context):
-    check(name, context)
-
-
-SLOW = [("motor", name) for name in run.CHECKS if name not in FAST]
-SLOW += [("motor", "observation"), *(("rate", name) for name in OF_THE_VEHICLE)]
+def test_the_fast_checks_of_an_exported_folder(exported):
+    results = run.verify(exported, COUNT, only=("range proof", "NumPy = C"))
+    check_all(results)
+    assert [r.check for r in results] == ["files", "range proof", "NumPy = C"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("flown, name", SLOW, indirect=["flown"])
-def test_a_slow_check_of_an_exported_folder(name, context_flown):
-    check(name, context_flown)
+def test_all_checks_of_an_exported_folder(flown):
+    results = run.verify(flown, COUNT, 8, allow_unfinished=True, allow_other_race=True)
+    check_all(results)
+    assert [r.check for r in results] == ["files", *CHECKS]
+    figures = {result.check: result.figure for result in results}
+    assert "instructions" in figures["processor"] and "missed" in figures["simulator"]
 
 
-def test_the_target_decides_what_is_written_and_checked(exported, tmp_path):
+def test_a_file_is_verified_by_itself(exported, tmp_path, capsys):
+    path = tmp_path / "racer.qjp"
+    shutil.copy(exported / "made.qjp", path)
+    results = run.verify(path, COUNT, only=("range proof", "NumPy = C"))
+    assert [result.verdict for result in results] == [PASSED] * 3, results
+    path.write_bytes(path.read_bytes()[:-1] + b"\0")
+    with pytest.raises(InputError, match="racer.qjp: changed since it was written"):
+        run.verify(path)
+    assert command("verify", path, "--runs", 1) == 2
+    assert "--runs has no effect on a .qjp file" in capsys.readouterr().err
+
+
+def test_files_of_the_first_version_stay_readable():
+    old = read_qjp(Path(__file__).parent / "version_1.qjp")
+    assert old.network.model.name == "racing" and old.race.gates > 2 and len(old.cases.inputs) > 8
+    assert pack(unpack(pack(old))) == pack(old)
+
+
+def test_the_target_decides_what_is_written(exported):
     folder = read_folder(exported)
-    other = dataclasses.replace(folder.options, target="cortex-m7")
-    other = dataclasses.replace(folder, options=other)
-    bare = {file: text for file, text in folder.sources().items() if "/" not in file}
-    assert other.sources() == bare != folder.sources()
-    assert "Cortex-M7 zig" in run.checks_of(other) and "Cortex-M7 zig" not in run.checks_of(folder)
-    assert "Cortex-A9 NEON, zig" in run.checks_of(folder)
-    assert "Cortex-A9 NEON, zig" not in run.checks_of(other)
+    options = dataclasses.replace(folder.options, target="cortex-m7")
+    other, own = dataclasses.replace(folder, options=options).files(), folder.files()
+    assert {name.split("/")[0] for name in other} == {"c", "made.qjp"}
+    assert {name.split("/")[0] for name in own} == {"paparazzi", "made.qjp"}
+    assert other["c/qj_network.c"] == own["paparazzi/qj_network.c"]
+    assert b"static const int32_t made_words[" in own["paparazzi/made.h"]
+    assert "QUADJAX_WORDS made_words" in own["paparazzi/quadjax_policy.h"].decode()
 
 
 def test_a_tampered_source_fails_and_nothing_is_compiled(exported, tmp_path, monkeypatch):
     copy = tmp_path / "copy"
     shutil.copytree(exported, copy)
-    source = copy / "made_race.c"
+    source = copy / "paparazzi/qj_race.c"
     source.write_text(source.read_text() + "\n#error planted\n")
     monkeypatch.setattr(toolchain.Compiler, "build", lambda *_: pytest.fail("compiled"))
-    with pytest.raises(InputError, match="made_race.c: not what the converter writes .*compiled$"):
+    with pytest.raises(InputError, match="qj_race.c: not what the converter writes .*compiled$"):
         run.verify(copy, COUNT)
 
 
 def test_a_planted_header_is_not_compiled(exported, tmp_path):
     copy = tmp_path / "copy"
     shutil.copytree(exported, copy)
-    (copy / "stdint.h").write_text("#error planted\n")
-    results = run.verify(copy, COUNT, only=("hostile inputs",))
+    (copy / "paparazzi/stdint.h").write_text("#error planted\n")
+    results = run.verify(copy, COUNT, only=("NumPy = C",))
     assert [result.verdict for result in results] == [PASSED, PASSED]
 
 
@@ -147,7 +144,7 @@ DAMAGED = {  # file: how it is damaged
     "made_report.json": "other",
     "policy.npz": "empty",
     "config.yaml": "missing",
-    "paparazzi/made.xml": "cut",
+    "paparazzi/quadjax.xml": "cut",
     ".quadjax.json": "cut",
 }
 
@@ -200,9 +197,9 @@ def test_an_export_for_another_race_fails_unless_allowed(exported):
 
 def test_what_lies_in_the_folder(exported):
     names = {p.relative_to(exported).as_posix() for p in exported.rglob("*") if p.is_file()}
-    expected = {"made.c", "made.h", "made_race.c", "made_race.h", "made_report.json"}
-    expected |= {"made_report.txt", "policy.npz", "config.yaml", "rollouts.npz"}
-    expected |= {"paparazzi/made.xml", "paparazzi/made_module.c", "paparazzi/made_module.h"}
+    expected = {"made.qjp", "made_report.json", "made_report.txt", "policy.npz", "config.yaml"}
+    expected |= {"rollouts.npz", "paparazzi/made.h", "paparazzi/qj.h", "paparazzi/qj_pilot.c"}
+    expected |= {"paparazzi/quadjax.xml", "paparazzi/quadjax_module.c"}
     assert expected <= names
 
 
@@ -220,73 +217,10 @@ def test_a_folder_holds_one_export(tmp_path, no_flights):
     assert not list(out.glob("second*"))
 
 
-def module_run(exported, tmp_path, broken):
-    """Build the Paparazzi module with stand-ins for Paparazzi, and run it once."""
-    compiler = need("gcc")
-    modules = tmp_path / "modules" / "made"
-    modules.mkdir(parents=True)
-    for path in [*exported.glob("*.[ch]"), *exported.glob("paparazzi/*.[ch]")]:
-        shutil.copy(path, modules)
-    if broken:
-        source = modules / "made.c"
-        source.write_text(source.read_text().replace("sum >> 32", "sum >> 31", 1))
-    number = "uint16_t" if (exported / "made_estimator.c").exists() else "float"
-    defines = ["-DPREFLIGHT_CHECKS=1", "-DPERIODIC_TELEMETRY=1", f"-DCOMMAND={number}"]
-    include = [f"-I{tmp_path}", f"-I{modules}", f"-isystem{STUBS}"]
-    command = [compiler, "-std=gnu99", "-O2", *defines, *include]
-    objects = []
-    for source in modules.glob("*.c"):
-        objects.append(tmp_path / f"{source.stem}.o")
-        subprocess.run([*command, *WARNINGS, "-c", source, "-o", objects[-1]], check=True)
-    program = tmp_path / "autopilot"
-    subprocess.run([*command, STUBS / "autopilot_main.c", *objects, "-o", program], check=True)
-    done = subprocess.run([program], capture_output=True, text=True, check=True)
-    return done.stdout.split()
-
-
-def flies(exported, tmp_path):
-    """The number of values sent, and the first command, of a module that flies."""
-    *found, motors, sent, command, steps = module_run(exported, tmp_path, False)
-    assert (found, motors, steps) == (["0", "0", "0", "1"], "1", "20")
-    return int(sent), float(command)
-
-
-def test_the_paparazzi_module_flies(exported, tmp_path):
-    sent, command = flies(exported, tmp_path)
-    assert sent == 16 and 3000 <= command <= 11000
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("flown", ["rate"], indirect=True)
-def test_the_paparazzi_module_of_a_rate_level_policy_flies(flown, tmp_path):
-    sent, command = flies(flown, tmp_path)
-    assert sent == 13 and abs(command) <= 3
-
-
-@pytest.mark.slow
-def test_the_paparazzi_module_refuses_to_arm(exported, tmp_path):
-    mismatches, fails, before, flies, motors, _, command, _ = module_run(exported, tmp_path, True)
-    assert int(mismatches) > 0
-    assert (fails, before, flies, motors, command) == ("1", "0", "0", "0", "0")
-
-
-@pytest.mark.slow
-def test_the_module_holds_the_last_action_at_the_rate_of_the_training(tmp_path):
-    policy, own = made("indi and more")
-    folder = tmp_path / "c"
-    converted = converted_in(folder, policy, own, "cortex-a9")
-    assert not converted.race.history and policy.layout.counts_steps
-    *_, steps = module_run(folder, tmp_path, False)
-    assert steps == "4"  # in 20 calls at 512 Hz, of 0.01 s
-    slow = dataclasses.replace(converted.race, time_step=0.003)
-    with pytest.raises(InputError, match="earlier steps of 0.003 s, allowed: whole periods of 512"):
-        dataclasses.replace(converted, race=slow).sources()
-
-
 def test_the_module_names_every_source(exported):
-    text = (exported / "paparazzi" / "made.xml").read_text()
-    for source in exported.glob("*.c"):
-        assert f'name="{source.name}"' in text
+    text = (exported / "paparazzi" / "quadjax.xml").read_text()
+    for source in (exported / "paparazzi").glob("*.c"):
+        assert f'name="{source.name}"' in text or source.name == "qj_angles.c"
     assert 'freq="512"' in text
 
 
@@ -300,9 +234,6 @@ def test_refuses_a_range_that_its_own_flights_leave(tmp_path, monkeypatch):
 ONE_LINE = {
     "missing.npz": "missing.npz",
     "policy.npz --range velocity=3": "power of two",
-    "policy.npz --name while": "C keyword",
-    "policy.npz --name uint8": "C keyword",
-    "policy.npz --name errno": "C keyword",
     "policy.npz --name _x": "identifier",
     f"policy.npz --name {'a' * 300}": "identifier",
     "policy.npz --track nowhere.yaml": "nowhere.yaml",
@@ -336,7 +267,7 @@ def test_a_folder_without_permission_is_one_line(tmp_path):
 
 
 def test_a_full_disk_is_one_line_and_leaves_the_earlier_export(tmp_path, monkeypatch, no_flights):
-    policy, out, write = made_policy(8), tmp_path / "c", convert.write_text
+    policy, out, write = made_policy(8), tmp_path / "c", convert.write_bytes
     for left in (0, 9):  # files that the disk has room for
         count = iter(range(left))
 
@@ -345,11 +276,11 @@ def test_a_full_disk_is_one_line_and_leaves_the_earlier_export(tmp_path, monkeyp
                 raise OSError(errno.ENOSPC, "No space left on device")
             write(path, text)
 
-        monkeypatch.setattr(convert, "write_text", limited)
+        monkeypatch.setattr(convert, "write_bytes", limited)
         with pytest.raises(InputError, match="c: cannot be written .No space left on device.$"):
             export_c(policy, out, ranges=WIDE, allow_unfinished=True)
         assert not out.exists()
-    monkeypatch.setattr(convert, "write_text", write)
+    monkeypatch.setattr(convert, "write_bytes", write)
     export_c(policy, out, ranges=WIDE, allow_unfinished=True)
     (out / "paparazzi" / "notes.txt").write_text("mine")
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
@@ -361,7 +292,7 @@ def test_a_full_disk_is_one_line_and_leaves_the_earlier_export(tmp_path, monkeyp
 
 def test_some_checks_alone(exported):
     results = run.verify(exported, COUNT, only=("range proof",))
-    assert [result.check for result in results] == ["sources", "range proof"]
+    assert [result.check for result in results] == ["files", "range proof"]
     assert all(result.verdict == PASSED for result in results)
 
 
@@ -396,8 +327,9 @@ def test_a_policy_that_does_not_finish_its_race_is_refused(tmp_path):
 def test_the_race_has_the_residual_that_the_policy_names(tmp_path):
     policy = shipped(tmp_path, "e2e.npz")
     exported = export_c(policy, tmp_path / "c")
-    assert exported.converted.residual_hash == sha256(PRETRAINED / "standin_residual.npz")
-    assert "subtract_residual" in (tmp_path / "c" / "e2e_estimator.c").read_text()
+    residual = PRETRAINED / "standin_residual.npz"
+    assert exported.converted.own.residual is not None
+    assert sha256(tmp_path / "c" / "residual.npz") == sha256(residual)
     found = run.verify(tmp_path / "c", COUNT, only=("own flights",))
     assert [result.verdict for result in found] == [PASSED, PASSED]
 
@@ -449,16 +381,6 @@ def test_a_residual_that_the_policy_names_may_not_be_left_out(tmp_path):
     policy = shipped(tmp_path, "e2e.npz")
     with pytest.raises(InputError, match="standin_residual.npz in training, no residual here"):
         export_c(policy, tmp_path / "c", "e2e")
-
-
-def test_a_name_that_makes_two_symbols_the_same_is_refused(exported):
-    folder = read_folder(exported)
-    check_symbols(folder)
-    for name in ("test", "output"):
-        renamed = dataclasses.replace(folder, origin=dataclasses.replace(folder.origin, name=name))
-        expected = f"--name {name}: the C code has another symbol {name}_command"
-        with pytest.raises(InputError, match=expected):
-            check_symbols(renamed)
 
 
 def test_a_folder_of_another_kind_is_refused(tmp_path):

@@ -13,12 +13,9 @@ from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.convert import export_c
 from quadjax.export.fixed import convert
 from quadjax.export.race_source import own_race
-from quadjax.export.race_tables import make_tables, track_ranges
 from quadjax.export.verify import run
-from quadjax.export.verify.context import Context
-from quadjax.export.verify.folder import read_folder
-from quadjax.export.verify.result import FAILED, PASSED, run_check
-from tests.export.support import race_library, random_states, untrained
+from quadjax.export.verify.result import FAILED, PASSED
+from tests.export.support import fixed_policy, library, random_states, untrained
 
 MORE = ("observation.gates_ahead=2", "observation.last_action=true")
 AXES = "observation.attitude=rotation"
@@ -65,47 +62,33 @@ def converted_in(folder, policy, own, target, rate=500.0):
     options = Options("made", {"position": 32.0}, sample_rate=rate, target=target)
     path = folder / "policy.npz"
     converted = convert_policy(policy, own, options, path.name, path, rows)
-    contents = {name: text.encode() for name, text in converted.sources().items()}
-    for name, data in (contents | converted.binaries()).items():
+    for name, data in converted.files().items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(data)
     return converted
 
 
-def tables_of(name):
-    """Policy, race, network, its race's tables, and 200 states and targets."""
+@functools.cache
+def fixed(name):
+    """Race, policy as integers, and 200 states and targets."""
     policy, own = made(name)
-    network = convert(policy, track_ranges(policy.layout, own.params.track) | {"position": 32.0})
-    tables = make_tables(network.box, policy, own.choices, own.params)
     rng = np.random.default_rng(0)
     states = random_states(rng, 200, own, policy.command_low, policy.command_high)
-    return own, network, tables, states, rng.integers(0, tables.gates, 200)
+    targets = rng.integers(0, len(own.params.track.yaw), 200)
+    return own, fixed_policy(policy, own, states, targets), states, targets
 
 
 @pytest.mark.parametrize("name", [*EVERY_FIELD[:2], *FEW])
 def test_the_inputs_of_the_c_are_those_of_the_environment(name, tmp_path):
-    own, network, tables, states, targets = tables_of(name)
-    observed = race_emulator.observe(tables, states, targets)
+    own, policy, states, targets = fixed(name)
+    network = policy.network
+    observed = race_emulator.observe(policy.race, states, targets)
     assert not (observed.clipped | observed.nan | observed.outside).any()
     found = observed.q / 2.0**30 * network.box.ranges
     error = np.abs(found - flights.observe(own, states, targets))
     assert error.max() < 2e-5 and np.abs(found).max(axis=0).min() > 0
-    library = race_library(network, tables, tmp_path, states, targets)
-    assert library.made_self_test() == 0 and library.made_race_self_test() == 0
-
-
-@pytest.mark.slow
-def test_the_self_test_catches_a_wrong_history(tmp_path):
-    _, network, tables, states, targets = tables_of("e2e with a history")
-    changes = [("HISTORY - steps", "HISTORY - 1U"), ("filled == 0U", "filled == 2U")]
-    changes.append(("= s[i]", "= s[0]"))
-    for number, change in enumerate(changes):
-        rows = (states[:20], targets[:20], change)
-        library = race_library(network, tables, tmp_path / str(number), *rows)
-        assert library.made_self_test() == 0 and library.made_race_self_test() > 0
-
-
-CHECKS = ("range proof", "NumPy = JAX", "NumPy = C, host", "hostile inputs", "observation")
+    rows = library(policy, tmp_path).observe(states, targets)
+    np.testing.assert_array_equal(rows[:, :-3], observed.q)
 
 
 @pytest.mark.slow
@@ -118,13 +101,10 @@ def test_an_exported_folder_passes_its_verification(name, tmp_path):
     out = tmp_path / "c"
     export_c(tmp_path / "policy.npz", out, ranges=ranges, name="made", allow_unfinished=True)
     assert (out / "paparazzi").exists() == (policy.vehicle != "racing")
-    context = Context(read_folder(out), tmp_path / "work", 1000, 4, True, True)
-    (tmp_path / "work").mkdir()
-    results = {
-        check: run_check(check, functools.partial(run.CHECKS[check], context)) for check in CHECKS
-    }
+    only = ("range proof", "NumPy = C", "simulator", "processor", "estimators")
+    results = {r.check: r for r in run.verify(out, 1000, only=only)}
     assert all(r.verdict != FAILED for r in results.values()), results
-    assert all(results[name].verdict == PASSED for name in ("observation", "NumPy = C, host"))
+    assert all(results[name].verdict == PASSED for name in only[:3])
 
 
 def test_a_field_without_c_is_refused():

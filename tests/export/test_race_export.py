@@ -1,6 +1,5 @@
 """The observation, the gate logic and the estimator in fixed point, beside the Python."""
 
-import ctypes
 import dataclasses
 import math
 
@@ -12,7 +11,6 @@ from quadjax.core.resources import PRETRAINED
 from quadjax.export import estimator_emulator, flights, race_emulator
 from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.convert import export_c
-from quadjax.export.emit import emit_estimator
 from quadjax.export.estimator_tables import make_estimator
 from quadjax.export.fixed import convert
 from quadjax.export.race_source import own_race as race_in
@@ -21,7 +19,7 @@ from quadjax.export.verify import measurements
 from quadjax.policy.race import race_of_policy
 from quadjax.race.layout import Layout
 from quadjax.vehicle.protocol import VehicleParams
-from tests.export.support import ORIGIN, WIDE, made_policy, made_residual, race_library
+from tests.export.support import WIDE, fixed_policy, library, made_policy, made_residual
 
 
 def own_race(policy, config=None, track=None):
@@ -149,28 +147,21 @@ def test_tilted_and_round_gates_are_the_simulators(kind, tmp_path):
     events = race_emulator.gate_event(tables, q[:-1], q[1:], targets[:-1])
     assert np.array_equal(events == race_emulator.PASSED, targets[1:] != targets[:-1])
     assert np.sum(events == race_emulator.PASSED) > 5 and np.sum(events == race_emulator.MISSED) > 5
-    states = random_states(np.random.default_rng(0), 8, "motor")
-    library = race_library(network, tables, tmp_path, states, np.arange(8) % tables.gates)
-    race = (ctypes.c_uint32 * 16)()
-    points = np.ascontiguousarray(positions, np.float32)
-    at = [points[i : i + 1].ctypes.data_as(ctypes.c_void_p) for i in range(len(points))]
-    library.made_race_start(race, at[0], int(targets[0]))
-    assert [library.made_race_update(race, point) for point in at[1:]] == events.tolist()
+    states = random_states(np.random.default_rng(0), 20, "motor")
+    made = fixed_policy(policy, own, states, np.arange(20) % tables.gates)
+    rows = library(made, tmp_path / "c").events(positions, int(targets[0]))
+    assert rows[1:, 0].tolist() == events.tolist()
 
 
 def test_a_track_of_many_gates_has_its_own_self_tests(tmp_path):
     policy = made_policy(8, "rate")
     own = own_race(policy)
-    network = convert(policy)
-    tables = make_tables(network.box, policy, own.choices, own.params)
+    tables = make_tables(convert(policy).box, policy, own.choices, own.params)
     of_gates = ("gate_position", "gate_cos", "gate_sin", "gate_yaw", "half_size", "next_gate")
     arrays = {name: getattr(tables, name) for name in of_gates}
-    tables = dataclasses.replace(
-        tables, **{name: np.resize(x, (301, *x.shape[1:])) for name, x in arrays.items()}
-    )
+    many = {name: np.resize(x, (301, *x.shape[1:])) for name, x in arrays.items()}
     states, targets = random_states(np.random.default_rng(0), 40, "rate"), np.arange(40) * 7
-    library = race_library(network, tables, tmp_path, states, targets)
-    assert library.made_race_self_test() == 0
+    library(fixed_policy(policy, own, states, targets, **many), tmp_path)
 
 
 def test_a_policys_own_limits_are_the_vehicles():
@@ -213,13 +204,6 @@ def test_estimator_is_the_reference(with_residual, rate, cutoff):
     assert error[:, 3:].max() < 2e-5
 
 
-def test_the_header_states_the_rate_of_the_estimator_in_full():
-    constants = own_race(made_policy(8)).params.vehicle.constants
-    tables, network = make_estimator(constants, None, 512.0625, 8.0), convert(made_policy(8))
-    header = emit_estimator(tables, network, ORIGIN, "")["made_estimator.h"]
-    assert "#define MADE_ESTIMATOR_RATE 512.0625F" in header
-
-
 def test_estimator_refuses_a_cutoff_without_room():
     constants = own_race(made_policy(8)).params.vehicle.constants
     with pytest.raises(InputError, match="cut-off"):
@@ -236,7 +220,7 @@ def test_impossible_sample_rates_are_refused_before_anything_is_read(tmp_path):
 
 
 def test_numbers_of_the_estimator_need_one(tmp_path):
-    with pytest.raises(InputError, match="cut-off 4 Hz has no effect: .* 'rate'"):
+    with pytest.raises(InputError, match="cut-off 4 Hz has no effect: .*'rate'"):
         export_c(PRETRAINED / "indi.npz", tmp_path / "out", cutoff=4.0)
 
 
@@ -270,8 +254,7 @@ def test_any_order_and_subset_of_the_fields_has_c(name, tmp_path):
     rng = np.random.default_rng(0)
     states, targets = random_states(rng, 50, "motor"), rng.integers(0, tables.gates, 50)
     states[:, 3:6] /= 4.0
-    library = race_library(network, tables, tmp_path, states, targets)
-    assert library.made_self_test() == 0 and library.made_race_self_test() == 0
+    library(fixed_policy(policy, own, states, targets), tmp_path)
     observed = race_emulator.observe(tables, states, targets)
     error = observed.q / 2.0**30 * network.box.ranges - flights.observe(own, states, targets)
     assert np.abs(error).max() < 2e-5

@@ -82,11 +82,11 @@ def cases(shipped: Iterable[str]) -> Iterator[tuple[str, str | Path, list[str]]]
 
 
 def random_states(header: str) -> np.ndarray:
-    """States (n, size) float32 of the fields that a header declares, from a fixed seed."""
-    body = header[: header.index("_state;")].rpartition("typedef struct {")[2]
+    """States (n, size) float32 of the fields that a header lists, from a fixed seed."""
+    body = header[header.index("State, as qj_observe takes it") : header.index("Do not edit")]
     rng = np.random.default_rng(0)
     parts = []
-    for name, size in re.findall(r"float (\w+)(?:\[(\d+)\])?;", body):
+    for name, size in re.findall(r"^ \*   (\w+)(?:\[(\d+)\])?  ", body, re.MULTILINE):
         shape = (COUNT, int(size or 1))
         if name in RANGES:
             part = rng.uniform(*RANGES[name], shape)
@@ -100,16 +100,31 @@ def random_states(header: str) -> np.ndarray:
 
 
 HARNESS = """
-#include "{name}_race.h"
-void commands(const float *states, {kind} *out, uint32_t count) {{
-  {name}_race race;
-  {name}_race_start(&race, states, 0);
-  for (uint32_t i = 0; i < count; ++i) {{
-    (void){name}_race_step(&race, {upper}_SCALAR, (const {name}_state *)(states + i * {upper}_STATE_SIZE),
-                           out + i * {upper}_OUTPUTS, 0);
-  }}
-}}
-"""  # noqa: E501
+#include "qj.h"
+#include "frozen.h"
+int commands(const float *states, int32_t *out, uint32_t count, uint32_t *fraction) {
+  static qj_policy policy;
+  static qj_race race;
+  static int32_t q[QJ_MAX_WIDTH];
+  const qj_error error = qj_load(&policy, &race, frozen_words, sizeof(frozen_words));
+  if (error != QJ_OK) {
+    return (int)error;
+  }
+  *fraction = (policy.kind == QJ_RPM) ? 0U : policy.fraction_bits;
+  qj_race_start(&policy, &race, states, 0);
+  for (uint32_t i = 0; i < count; ++i) {
+    float command[4];
+    (void)qj_race_update(&policy, &race, states + i * policy.state_size);
+    (void)qj_observe(&policy, &race, states + i * policy.state_size, q);
+    qj_forward(&policy, q, out + 4 * i, 0);
+    qj_commands(&policy, out + 4 * i, command);
+    for (int k = 0; k < 4 && policy.kind == QJ_RPM; ++k) {
+      out[4 * i + k] = (int32_t)command[k];
+    }
+  }
+  return 0;
+}
+"""
 
 
 def commands(
@@ -117,19 +132,19 @@ def commands(
 ) -> np.ndarray:
     """Commands (n, 4) of the exported and compiled C, which also passes its self-test."""
     run("export", policy, "--output", folder, "--name", "frozen", *options)
-    header = (folder / "frozen_race.h").read_text()
-    real = "float command[" in header
-    kind = "float" if real else "uint16_t"
+    (header,) = folder.rglob("frozen.h")
     source = folder / "harness.c"
-    source.write_text(HARNESS.format(name="frozen", upper="FROZEN", kind=kind))
-    files = [source, folder / "frozen.c", folder / "frozen_race.c"]
+    source.write_text(HARNESS)
+    files = [source, *(p for p in header.parent.glob("qj_*.c") if p.name != "qj_angles.c")]
     library = folder / "frozen.so"
-    subprocess.run(["gcc", "-O2", "-shared", "-fPIC", "-o", library, *files], check=True)
-    c = ctypes.CDLL(str(library.resolve()))
-    if c.frozen_self_test() or c.frozen_race_self_test():
-        raise RuntimeError(f"{policy}: the self-test of the C fails")
-    states = random_states(header)
-    out = np.zeros((len(states), 4), np.float32 if real else np.uint16)
-    pointer = ctypes.c_void_p
-    c.commands(states.ctypes.data_as(pointer), out.ctypes.data_as(pointer), len(states))
-    return out
+    command = ["gcc", "-O2", "-shared", "-fPIC", f"-I{header.parent}", "-o", library, *files]
+    subprocess.run(command, check=True)
+    c, fraction = ctypes.CDLL(str(library.resolve())), ctypes.c_uint32()
+    states = random_states(header.read_text())
+    out, pointer = np.zeros((len(states), 4), np.int32), ctypes.c_void_p
+    places = (states.ctypes.data_as(pointer), out.ctypes.data_as(pointer))
+    if error := c.commands(*places, len(states), ctypes.byref(fraction)):
+        raise RuntimeError(f"{policy}: the loader refuses the words: error {error}")
+    if not fraction.value:
+        return out.astype(np.uint16)
+    return (out * np.float32(2.0**-fraction.value)).astype(np.float32)

@@ -24,10 +24,10 @@ from quadjax.sil.fly import FLOATS
 from quadjax.sil.message import RPM_PER_RAD_S, Kind, new
 from quadjax.sil.plant_world import PlantWorld
 from quadjax.sil.run import Setting, fly_all, make_world
-from quadjax.sil.source import write_sources
+from quadjax.sil.source import label_of, write_sources
 from tests.commands import run
-from tests.export.test_autopilots import without_rotors
 from tests.export.test_layouts import converted_in, made
+from tests.export.test_pilot import without_rotors
 from tests.sil.support import Counting
 
 PLANT = load_plant_config("standin")
@@ -60,12 +60,12 @@ def flown_in_this_process(inputs, plant, folder, steps):
     world = make_world(inputs.config, inputs.policy, plant, 1)
     sources = write_sources(folder, inputs, 1.0 / world.step, folder)
     library = ctypes.CDLL(str(sources.build(folder, shared=True)))
-    assert library.sil_self_test() == 0
+    assert library.sil_load() == 0
     library.sil_begin()
     factor = RPM_PER_RAD_S if world.model.name == "motor" else 1.0
     now, rows = world.begin(0), []
-    for _ in range(steps):
-        state, command = new(Kind.STATE), new(Kind.COMMAND)
+    for number in range(steps):
+        state, command = new(Kind.STATE, time_s=number * world.step), new(Kind.COMMAND)
         values = np.split(now.numbers, np.cumsum([state[name].size for name in FLOATS])[:-1])
         for name, value in zip(FLOATS, values, strict=True):
             state[name] = value.reshape(state[name].shape)
@@ -96,7 +96,7 @@ def test_lock_step_has_the_bits_of_the_same_c_in_this_process(make, tmp_path, mo
     expected, sources = flown_in_this_process(inputs, plant, tmp_path, len(rows))
     np.testing.assert_array_equal(rows, expected)
     assert set(race.counts) <= {"steps", "autopilot: clipped steps", "autopilot: outside steps"}
-    assert sources.own_estimator == (make is trained) and len(rows) > 20
+    assert ("its own estimator" in flown.autopilot) == (make is trained) and len(rows) > 20
     flown.write(tmp_path / "out")
     (flight,) = load(tmp_path / "out" / "states.npz")
     np.testing.assert_array_equal(flight["position"], race.flight["position"])
@@ -108,21 +108,21 @@ def test_lock_step_has_the_bits_of_the_same_c_in_this_process(make, tmp_path, mo
     assert len(load(page)) == 1
 
 
-def in_this_process(folder, target, policy, own):
+def in_this_process(folder, target, policy, own, rate=None):
     """The C of a target behind the messages as a library, and its sources."""
     config, _ = race_of_policy(policy)
     inputs = written(folder, policy, own, config, target)
-    sources = write_sources(folder, inputs, 1.0 / own.time_step, folder)
+    sources = write_sources(folder, inputs, rate or 1.0 / own.time_step, folder)
     return ctypes.CDLL(str(sources.build(folder, shared=True))), sources
 
 
-def commands_of(library, states):
+def commands_of(library, states, step=0.01):
     """Commands (n, 4) of states that follow each other in a race."""
-    assert library.sil_self_test() == 0
+    assert library.sil_load() == 0
     library.sil_begin()
     rows = []
-    for values in states:
-        state, command = new(Kind.STATE), new(Kind.COMMAND)
+    for number, values in enumerate(states):
+        state, command = new(Kind.STATE, time_s=step * number), new(Kind.COMMAND)
         for name, value in values.items():
             state[name] = value
         library.sil_step(*(x.ctypes.data_as(ctypes.c_void_p) for x in (state, command)))
@@ -137,20 +137,19 @@ OTHERS = [("qjp", "indi and more"), ("qjp", "published racing"), ("crazyflie", "
     ("target", "race"),
     [("px4", "published racing"), *(pytest.param(*x, marks=pytest.mark.slow) for x in OTHERS)],
 )
-def test_a_policy_as_a_file_flies_by_its_loader(target, race, tmp_path):
+def test_every_target_flies_the_same_runtime(target, race, tmp_path):
     policy, own = without_rotors() if race == "without rotors" else made(race)
     library, sources = in_this_process(tmp_path / target, target, policy, own)
     names = {path.name for path in sources.files}
-    assert {"qjp_run.c", "qjp_load.c"} <= names and not any("made" in name for name in names)
-    assert ("qjp_pilot.c" in names) == (target != "qjp")
+    assert {"qj_pilot.c", "qj_load.c"} <= names and not any("made" in name for name in names)
     assert "made.qjp" in sources.text and ("without" in sources.text) == (target != "qjp")
-    generated, others = in_this_process(tmp_path / "c", "cortex-m7", policy, own)
-    assert others.text == "made.c, made_race.c"
+    plain, others = in_this_process(tmp_path / "c", "cortex-m7", policy, own)
+    assert others.text.startswith("made.qjp, c/{qj_check.c")
     rng = np.random.default_rng(3)
     fields = {"position_ned_m": 3, "velocity_ned_m_s": 3, "attitude_rpy_rad": 3}
     fields |= {"rates_frd_rad_s": 3, "rotor_speed_rad_s": 4, "thrust_m_s2": None}
     states = [{name: rng.uniform(-1, 1, size) for name, size in fields.items()} for _ in range(20)]
-    found, wanted = commands_of(library, states), commands_of(generated, states)
+    found, wanted = commands_of(library, states), commands_of(plain, states)
     np.testing.assert_array_equal(found, wanted)
     assert len(np.unique(found, axis=0)) == len(found)
 
@@ -160,14 +159,14 @@ def test_words_that_the_loader_rejects_do_not_fly(tmp_path):
     inputs = written(tmp_path, policy, own, race_of_policy(policy)[0], "px4")
     (tmp_path / "made.qjp").write_bytes((tmp_path / "made.qjp").read_bytes()[:-4] + bytes(4))
     sources = write_sources(tmp_path, inputs, 100.0, tmp_path)
-    library = ctypes.CDLL(str(sources.build(tmp_path, shared=True)))
-    assert library.sil_self_test() == 1
+    with pytest.raises(InputError, match="cannot fly here: changed: bad checksum"):
+        label_of(sources.build(tmp_path), tmp_path)
 
 
 BAD = {
     "missing": "no such folder",
     ".": "expected one *_report.json",
-    "no_c": "made.c: no such file",
+    "no_c": "qj_check.c: no such file",
     "no_c --listen 5005": "allowed: HOST:PORT",
     "no_c --delay 5": "--delay has no effect without --late",
     "no_c --simulator effects.gusts=0": "no effect with --simulator",
@@ -194,21 +193,26 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, capfd):
         assert not (tmp_path / "runs").exists()
 
 
-def test_a_last_action_of_other_steps_is_refused(tmp_path, monkeypatch):
+@pytest.mark.slow
+def test_a_policy_of_earlier_steps_keeps_its_steps_at_another_rate(tmp_path):
     policy, own = made("indi and more")
-    inputs = Inputs(Options("made"), policy, race_of_policy(policy)[0], own, "made.npz", "")
-    monkeypatch.setattr(sil, "read_inputs", lambda *_: inputs)
-    monkeypatch.setattr(sil, "make_world", lambda *_: Counting(step=0.002))
-    with pytest.raises(InputError, match="earlier steps of 0.01 s, .* are 0.002 s: add control_ra"):
-        fly_all(Setting(tmp_path, PLANT), threading.Event())
+    library, _ = in_this_process(tmp_path, "cortex-m7", policy, own, rate=500.0)
+    rng = np.random.default_rng(3)
+    fields = {"position_ned_m": 3, "velocity_ned_m_s": 3, "attitude_rpy_rad": 3}
+    states = [{name: rng.uniform(-1, 1, size) for name, size in fields.items()} for _ in range(40)]
+    found = commands_of(library, states, step=0.002)
+    np.testing.assert_array_equal(found, np.repeat(found[::5], 5, axis=0))
+    assert len(np.unique(found, axis=0)) == 8
+    inputs = written(tmp_path / "odd", policy, own, race_of_policy(policy)[0], "cortex-m7")
+    sources = write_sources(tmp_path / "odd", inputs, 130.0, tmp_path / "odd")
+    with pytest.raises(InputError, match="no whole number of calls is a step of it, within 5%"):
+        label_of(sources.build(tmp_path / "odd"), tmp_path)
 
 
 def test_a_machine_without_compiler_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(toolchain.shutil, "which", lambda name: None)
     monkeypatch.setattr(toolchain, "has_module", lambda name: False)
     policy, own = made("published racing")
-    for name in ("made.c", "made_race.c"):
-        (tmp_path / name).write_text("")
-    inputs = Inputs(Options("made"), policy, race_of_policy(policy)[0], own, "made.npz", "")
+    inputs = written(tmp_path, policy, own, race_of_policy(policy)[0], "cortex-m7")
     with pytest.raises(InputError, match="no C compiler on this machine"):
         write_sources(tmp_path, inputs, 100.0, tmp_path).build(tmp_path)

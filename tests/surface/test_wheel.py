@@ -83,7 +83,7 @@ def test_it_exports_and_verifies_in_an_empty_folder(installed, tmp_path):
     script = "import quadjax\nquadjax.export_c(quadjax.Policy.load('e2e_nominal'), 'c', 'e2e')\n"
     done = run(installed, tmp_path, "-c", script)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert list((tmp_path / "c").glob("*.c"))
+    assert list((tmp_path / "c").rglob("qj_*.c"))
     done = run(installed, tmp_path, "-m", "quadjax", "verify", "c", "--vectors", "200")
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.search(r"[1-9]\d* passed, 0 failed, \d+ skipped", done.stdout)

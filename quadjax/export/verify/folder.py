@@ -20,6 +20,7 @@ from quadjax.export.convert import (
 )
 from quadjax.export.flights import Rollouts
 from quadjax.export.race_source import CONFIG_FILE, OwnRace, own_race
+from quadjax.export.race_tables import state_sizes
 from quadjax.export.report import report_text
 from quadjax.export.targets import find_target
 from quadjax.policy.file import Policy
@@ -30,17 +31,6 @@ class Folder(Converted):
     """An exported folder: the conversion repeated from the inputs in it."""
 
     path: Path
-    expected: dict[str, str]  # the sources that the converter writes, by file
-
-    @property
-    def name(self) -> str:
-        """Prefix of every C symbol and file."""
-        return self.options.name
-
-    @property
-    def files(self) -> list[Path]:
-        """The C files that compile on any machine."""
-        return [self.path / f for f in self.expected if f.endswith(".c") and "/" not in f]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,19 +89,18 @@ def read_folder(path: Path, config: Config | Path | str | None = None) -> Folder
     inputs = read_inputs(path, config)
     policy, own, options, file = inputs.policy, inputs.own, inputs.options, inputs.file
     rollouts = _rollouts(path / ROLLOUTS_FILE)
+    _check_shapes(rollouts, policy, own, path / ROLLOUTS_FILE)
     converted = convert_policy(policy, own, options, file, path / POLICY_FILE, rollouts)
-    _check_shapes(converted, path / ROLLOUTS_FILE)
-    expected = converted.sources()
-    texts = expected | {f"{options.name}_report.txt": inputs.text}
-    contents = {name: content.encode("utf-8") for name, content in texts.items()}
-    for name, content in (contents | converted.binaries()).items():
+    report = {f"{options.name}_report.txt": inputs.text.encode("utf-8")}
+    for name, content in (converted.files() | report).items():
         check_file(path / name)
         if (path / name).read_bytes() != content:
             raise InputError(
                 f"{path / name}: not what the converter writes for this policy and race; nothing "
                 "is compiled"
             )
-    return Folder(**vars(converted), path=path, expected=expected)
+    fields = (field.name for field in dataclasses.fields(Converted))
+    return Folder(**{name: getattr(converted, name) for name in fields}, path=path)
 
 
 def _read_report(path: Path) -> tuple[Options, str, str, str]:
@@ -137,13 +126,16 @@ def _rollouts(path: Path) -> Rollouts:
     return Rollouts(*(arrays[name] for name in ROLLOUTS_ARRAYS))
 
 
-def _check_shapes(converted: Converted, path: Path) -> None:
+def _check_shapes(rows: Rollouts, policy: Policy, own: OwnRace, path: Path) -> None:
     """Raise an ``InputError`` for rollouts that do not fit the policy and its track."""
-    rows, race = converted.rollouts, converted.race
     parts = (rows.observations, rows.states, rows.targets)
-    count = rows.targets.size
-    wanted = [(count, converted.network.inputs), (count, race.state_size), (count,)]
+    count, size = (
+        rows.targets.size,
+        sum(state_sizes(own.choices.layout, own.choices.model).values()),
+    )
+    wanted = [(count, policy.layout.size), (count, size), (count,)]
     fits = count > 0 and [part.shape for part in parts] == wanted
     fits = fits and [part.dtype.kind for part in parts] == ["f", "f", "i"]
-    if not fits or not np.all((0 <= rows.targets) & (rows.targets < race.gates)):
+    gates = len(own.params.track.yaw)
+    if not fits or not np.all((0 <= rows.targets) & (rows.targets < gates)):
         raise InputError(f"{path}: its arrays do not fit the policy")

@@ -106,10 +106,3 @@ def bebop() -> Compiler:
     """GCC with the flags that Paparazzi builds the Bebop with."""
     need_program("arm-linux-gnueabi-gcc")
     return Compiler("gcc armel", ("arm-linux-gnueabi-gcc",), tuple(BEBOP))
-
-
-def armhf() -> Compiler:
-    """GCC for hard float with NEON."""
-    need_program("arm-linux-gnueabihf-gcc")
-    flags = "-mcpu=cortex-a9 -mfpu=neon -O3 -std=c99 -static".split()
-    return Compiler("gcc armhf", ("arm-linux-gnueabihf-gcc",), tuple(flags))

@@ -1,0 +1,248 @@
+"""Self-test cases of a policy, which its words contain, and vectors for the verification.
+
+The cases are inputs and the integers that follow from them, computed by the emulators.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from quadjax.export import battery_emulator, emulator, estimator_emulator, race_emulator
+from quadjax.export.battery_tables import MOTORS, BatteryTables
+from quadjax.export.estimator_tables import CHANNELS, EstimatorTables
+from quadjax.export.fixed import FixedLayer, FixedNetwork
+from quadjax.export.integers import DIGEST_START, ONE, WORD, digest, quantize
+from quadjax.export.race_tables import RaceTables
+
+BLOCK = 4  # rows of a block
+TURN = 8  # columns, and rows of a hidden layer, are padded to a multiple of this
+CORNERS, SIMULATED, RANDOM = 8, 16, 8
+RANDOM_STATES, SIMULATED_STATES = 6, 10
+HISTORY_ROUNDS = 6  # of the states, of which a digest is compared where there is a history
+MEASUREMENTS, SAMPLES = 16, 64  # of an estimator: the measurements are repeated
+
+
+@dataclasses.dataclass(frozen=True)
+class PaddedLayer:
+    """A layer as the C has it: rows and columns padded with zeros."""
+
+    weights: np.ndarray  # (padded rows * padded columns,) int32, in blocks
+    bias: np.ndarray  # (padded rows,) int64
+
+
+@dataclasses.dataclass(frozen=True)
+class Cases:
+    """Self-tests of a policy; those of an estimator that it lacks are empty."""
+
+    inputs: np.ndarray  # (n, inputs) int32, of the network
+    commands: np.ndarray  # (n, outputs) int32
+    traces: np.ndarray  # (n,) uint32, digest of every accumulator
+    states: np.ndarray  # (m, state_size) uint32, the bits
+    targets: np.ndarray  # (m,)
+    observed: np.ndarray  # (m, inputs) int32
+    status: np.ndarray  # (m, 3) uint32: clipped, nan, outside
+    history_digest: int  # of the inputs in further rounds of the states, with a history
+    measurements: np.ndarray  # (MEASUREMENTS, 13) uint32, the bits
+    estimates: np.ndarray  # (SAMPLES, 6) uint32, the bits of moment and force after each
+    samples: np.ndarray  # (MEASUREMENTS, 8) uint32, the bits
+    digests: np.ndarray  # (SAMPLES,) uint32, of the memory after each
+
+
+def pad(layer: FixedLayer, shift: int, multiple: int) -> PaddedLayer:
+    """The layer's tables in the kernels' order; padded rows hold only the rounding half."""
+    rows, columns = layer.weights.shape
+    padded_rows, padded_columns = -(-rows // multiple) * multiple, -(-columns // TURN) * TURN
+    weights = np.zeros((padded_rows, padded_columns), np.int64)
+    weights[:rows, :columns] = layer.weights
+    bias = np.full(padded_rows, 2 ** (shift - 1) if shift else 0, np.int64)
+    bias[:rows] = layer.bias
+    blocks = weights.reshape(-1, BLOCK, padded_columns).transpose(0, 2, 1)
+    return PaddedLayer(blocks.ravel(), bias)
+
+
+def padded_layers(
+    hidden: tuple[FixedLayer, ...], output: FixedLayer, shift: int
+) -> list[PaddedLayer]:
+    """All layers of a network, padded; ``shift`` is that of the output."""
+    return [*(pad(layer, WORD, TURN) for layer in hidden), pad(output, shift, BLOCK)]
+
+
+def make_cases(
+    network: FixedNetwork,
+    race: RaceTables,
+    estimator: EstimatorTables | None,
+    battery: BatteryTables | None,
+    observations: np.ndarray | None,
+    states: np.ndarray,
+    targets: np.ndarray,
+) -> Cases:
+    """The self-tests of a policy.
+
+    Args:
+        network: proven integers.
+        race: observation and track.
+        estimator: of the disturbances.
+        battery: of the highest rpm.
+        observations: (n, inputs) simulated observations, if there are any.
+        states: (n, state_size) simulated states.
+        targets: (n,) the target gate of each.
+    """
+    inputs = self_test_inputs(network, observations)
+    commands, trace = emulator.forward_traced(network, inputs)
+    rng = np.random.default_rng(0)
+    ranges = np.ldexp(1.0, np.asarray(race.exponents))
+    random = rng.uniform(-0.5, 0.5, (RANDOM_STATES, len(ranges))) * ranges
+    random = random.astype(np.float32)
+    random[0] *= np.float32(10.0)
+    random[1, :] = np.nan
+    goals = rng.integers(0, race.gates, RANDOM_STATES)
+    pick = np.linspace(0, len(states) - 1, SIMULATED_STATES if len(states) else 0).astype(int)
+    states = states if len(states) else random[:0]
+    chosen = np.concatenate([random, states[pick].astype(np.float32)])
+    goals = np.concatenate([goals, np.ravel(targets)[pick]]).astype(int)
+    measured, moved = _measurements(estimator), _samples(battery)
+    observed, status, rounds = observe_cases(race, chosen, goals)
+    return Cases(
+        *(inputs, commands, emulator.trace_digest(trace)),
+        *(np.ascontiguousarray(chosen).view(np.uint32), goals, observed, status, rounds),
+        *(measured.view(np.uint32), estimates_of(estimator, measured)),
+        *(moved.view(np.uint32), digests_of(battery, moved)),
+    )
+
+
+def observe_cases(
+    race: RaceTables, states: np.ndarray, targets: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Inputs and status (n, 3) of states one after the other, and the digest of further rounds."""
+    count, rounds = len(states), HISTORY_ROUNDS if race.history else 0
+    goals = np.where((targets >= 0) & (targets < race.gates), targets, 0)
+    found = race_emulator.observe(
+        race, np.tile(states, (1 + rounds, 1)), np.tile(goals, 1 + rounds)
+    )
+    status = np.stack([found.clipped, found.nan, found.outside], axis=1)[:count]
+    rest = found.q[count:].astype(np.int64).reshape(1, -1) & 0xFFFFFFFF
+    return found.q[:count], status, int(digest(rest)[0]) if rounds else DIGEST_START
+
+
+def passes(cases: Cases, network: FixedNetwork, race: RaceTables) -> bool:
+    """Whether the emulators give the integers of the cases of the network and the observation."""
+    commands, trace = emulator.forward_traced(network, cases.inputs)
+    states = np.ascontiguousarray(cases.states).view(np.float32)
+    observed, status, rounds = observe_cases(race, states, cases.targets)
+    return (
+        np.array_equal(commands, cases.commands)
+        and np.array_equal(emulator.trace_digest(trace), cases.traces)
+        and np.array_equal(observed, cases.observed)
+        and np.array_equal(status, cases.status)
+        and rounds == cases.history_digest
+    )
+
+
+def _measurements(tables: EstimatorTables | None) -> np.ndarray:
+    """Random measurements (MEASUREMENTS, 13) float32, one clipped and one with a NaN."""
+    if tables is None:
+        return np.zeros((0, 13), np.float32)
+    rng, limit = np.random.default_rng(0), np.ldexp(1.0, np.asarray(tables.exponents))
+    rows = rng.uniform(-0.3, 0.3, (MEASUREMENTS, len(limit))) * limit
+    rows[:, 6:10] = np.abs(rows[:, 6:10]) * 2.0
+    rows[-1] *= 8.0  # clipped
+    rows[-2, 2] = np.nan
+    return rows.astype(np.float32)
+
+
+def estimates_of(tables: EstimatorTables | None, measured: np.ndarray) -> np.ndarray:
+    """The bits (SAMPLES, 6) uint32 of the estimates along repeated measurements."""
+    if tables is None:
+        return np.zeros((0, len(CHANNELS)), np.uint32)
+    memory, found = estimator_emulator.start(tables, measured[:1]), []
+    for sample in range(SAMPLES):
+        fine = estimator_emulator.update(tables, memory, measured[sample % MEASUREMENTS][None])
+        found.append(estimator_emulator.outputs(tables, fine)[0])
+    return np.stack(found).view(np.uint32)
+
+
+def _samples(tables: BatteryTables | None) -> np.ndarray:
+    """Samples (MEASUREMENTS, 8) float32: commands below and at the limit, one clipped, some NaN."""
+    if tables is None:
+        return np.zeros((0, 2 * MOTORS), np.float32)
+    rng = np.random.default_rng(0)
+    shape, top = (MEASUREMENTS, MOTORS), tables.highest * tables.unit
+    command = np.where(rng.random(shape) < 0.5, 1.0, rng.uniform(0.3, 1.0, shape)) * top
+    rows = np.concatenate([rng.uniform(0.7, 1.0, shape) * top, command], axis=1)
+    rows[-1] *= 8.0  # clipped
+    rows[-2, 2] = rows[-3, 6] = np.nan
+    return rows.astype(np.float32)
+
+
+def digests_of(tables: BatteryTables | None, samples: np.ndarray) -> np.ndarray:
+    """Digests (SAMPLES,) uint32 of the estimator's memory after each of repeated samples."""
+    if tables is None:
+        return np.zeros(0, np.uint32)
+    memory, digests = battery_emulator.start(tables, samples[:1]), []
+    for number in range(SAMPLES):
+        if number and number % (MEASUREMENTS // 2) == 0:  # to both limits of the estimate
+            memory.highest[:] = tables.highest if number % MEASUREMENTS else tables.lowest
+        if number:
+            battery_emulator.update(tables, memory, samples[number % MEASUREMENTS][None])
+        digests.append(digest(memory.words)[0])
+    return np.array(digests, np.uint32)
+
+
+def self_test_inputs(network: FixedNetwork, observations: np.ndarray | None) -> np.ndarray:
+    """Inputs (n, inputs) int32: corners of the box, simulated ``observations``, random ones."""
+    rng = np.random.default_rng(0)
+    signs = rng.choice([-1, 1], (CORNERS, network.inputs))
+    signs[0], signs[1] = 1, -1
+    parts, random = [signs * ONE], RANDOM + SIMULATED
+    if observations is not None and len(observations):
+        pick = np.linspace(0, len(observations) - 1, SIMULATED).astype(int)
+        parts.append(quantize(observations[pick], network.box.exponents))
+        random = RANDOM
+    parts.append(rng.integers(-ONE, ONE + 1, (random, network.inputs)))
+    return np.concatenate(parts).astype(np.int32)
+
+
+def check_vectors(
+    network: FixedNetwork, count: int, observations: np.ndarray | None, seed: int = 0
+) -> np.ndarray:
+    """Observations (count, inputs) float32: corners, simulated, uniform, Gaussian.
+
+    A quarter each. Corners are -range, 0 or +range in every input; the simulated ``observations``
+    are repeated with noise of one percent; the Gaussian ones have a standard deviation of half the
+    range, so that some of them leave the box.
+    """
+    rng = np.random.default_rng(seed)
+    ranges = network.box.ranges
+    quarter = count // 4
+    shape = (quarter, network.inputs)
+    corners = rng.integers(-1, 2, shape) * ranges
+    uniform = rng.uniform(-1.0, 1.0, shape) * ranges
+    gaussian = rng.standard_normal((count - 3 * quarter, network.inputs)) * 0.5 * ranges
+    if observations is not None and len(observations):
+        repeated = observations[rng.integers(0, len(observations), quarter)]
+        repeated = repeated + 0.01 * ranges * rng.standard_normal(shape)
+        repeated[: len(observations)] = observations[:quarter]
+    else:
+        repeated = rng.standard_normal(shape) * 0.1 * ranges
+    return np.concatenate([corners, repeated, uniform, gaussian]).astype(np.float32)
+
+
+def hostile_vectors(network: FixedNetwork) -> np.ndarray:
+    """NaN of several kinds, infinity, huge and subnormal numbers in every position, float32."""
+    bits = np.array(
+        [
+            *(0x7FC00000, 0xFFC00000, 0x7F800001, 0xFFFFFFFF, 0x7FFFFFFF),  # NaN, quiet and not
+            *(0x7F800000, 0xFF800000, 0x7F7FFFFF, 0xFF7FFFFF),  # infinite and largest
+            *(0x00000001, 0x80000001, 0x007FFFFF, 0x807FFFFF, 0x00800000),  # subnormal, smallest
+            *(0x00000000, 0x80000000),
+        ],
+        np.uint32,
+    )
+    specials = bits.view(np.float32)
+    rng = np.random.default_rng(2)
+    base = (0.3 * network.box.ranges * rng.standard_normal(network.inputs)).astype(np.float32)
+    vectors = np.tile(base, (len(bits) * network.inputs, 1))
+    for position in range(network.inputs):
+        rows = slice(position * len(bits), (position + 1) * len(bits))
+        vectors.view(np.uint32)[rows, position] = bits
+    return np.concatenate([vectors, np.tile(specials[:, None], (1, network.inputs))])

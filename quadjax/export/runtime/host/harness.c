@@ -1,0 +1,102 @@
+/* Batches for the verification: many rows in one call. Not for flight. */
+#include "qj_pilot.h"
+
+static const qj_interface interface = {INTERFACE_GIVES, INTERFACE_KINDS, INTERFACE_CALL_NS,
+                                       INTERFACE_EVERY_CALL};
+
+uint32_t harness_size(void);
+uint32_t harness_load(qj_pilot *pilot, const int32_t *words, uint32_t bytes, uint32_t kernel);
+void harness_forward(const qj_pilot *pilot, const int32_t *q, int32_t *out, uint32_t count);
+void harness_infer(const qj_pilot *pilot, const float *x, float *out);
+void harness_observe(qj_pilot *pilot, const float *states, const uint32_t *targets, int32_t *out,
+                     uint32_t count);
+void harness_events(qj_pilot *pilot, const float *positions, uint32_t target, uint32_t *out,
+                    uint32_t count);
+void harness_estimate(qj_pilot *pilot, const float *measured, float *out, uint32_t count);
+void harness_battery(qj_pilot *pilot, const float *samples, float *out, uint32_t count);
+void harness_step(qj_pilot *pilot, const qj_vehicle *vehicle, float *out);
+
+uint32_t harness_size(void) { return sizeof(qj_pilot); }
+
+/* An error of qj_load, 100 for a pilot that refuses the policy, or the mismatches of a kernel. */
+uint32_t harness_load(qj_pilot *pilot, const int32_t *words, uint32_t bytes, uint32_t kernel) {
+  const char *const wrong = qj_pilot_load(pilot, words, bytes, &interface);
+  const qj_error error = qj_load(&pilot->policy, &pilot->race, words, bytes);
+  pilot->policy.kernel = (kernel != 0U) ? QJ_NEON : QJ_SCALAR;
+  if (error != QJ_OK) {
+    return (uint32_t)error;
+  }
+  return (wrong != 0) ? 100U : qj_self_test(&pilot->policy, &pilot->race);
+}
+
+/* Row: commands, trace. */
+void harness_forward(const qj_pilot *pilot, const int32_t *q, int32_t *out, uint32_t count) {
+  for (uint32_t i = 0U; i < count; ++i) {
+    uint32_t trace;
+    qj_forward(&pilot->policy, q, out, &trace);
+    out[QJ_COMMANDS] = (int32_t)trace;
+    q += pilot->policy.inputs;
+    out += QJ_COMMANDS + 1;
+  }
+}
+
+/* One inference from an own observation. */
+void harness_infer(const qj_pilot *pilot, const float *x, float *out) {
+  int32_t q[QJ_MAX_WIDTH];
+  int32_t command[QJ_COMMANDS];
+  (void)qj_quantize(&pilot->policy, x, q);
+  qj_forward(&pilot->policy, q, command, 0);
+  qj_commands(&pilot->policy, command, out);
+}
+
+/* Row: inputs, clipped, NaN, outside. The states are those of one flight. */
+void harness_observe(qj_pilot *pilot, const float *states, const uint32_t *targets, int32_t *out,
+                     uint32_t count) {
+  const qj_policy *const policy = &pilot->policy;
+  qj_race_start(policy, &pilot->race, states, 0U);
+  for (uint32_t i = 0U; i < count; ++i) {
+    pilot->race.target = targets[i];
+    const qj_status status = qj_observe(policy, &pilot->race, states, out);
+    out[policy->inputs] = (int32_t)status.clipped;
+    out[policy->inputs + 1U] = (int32_t)status.nan;
+    out[policy->inputs + 2U] = (int32_t)status.outside;
+    states += policy->state_size;
+    out += policy->inputs + 3U;
+  }
+}
+
+/* Row: the event and the target after it, along one trajectory. */
+void harness_events(qj_pilot *pilot, const float *positions, uint32_t target, uint32_t *out,
+                    uint32_t count) {
+  qj_race_start(&pilot->policy, &pilot->race, positions, target);
+  for (uint32_t i = 0U; i < count; ++i) {
+    out[0] = (uint32_t)qj_race_update(&pilot->policy, &pilot->race, positions);
+    out[1] = pilot->race.target;
+    positions += 3;
+    out += 2;
+  }
+}
+
+void harness_estimate(qj_pilot *pilot, const float *measured, float *out, uint32_t count) {
+  pilot->estimator.started = 0U;
+  for (uint32_t i = 0U; i < count; ++i) {
+    (void)qj_estimator_update(&pilot->policy, &pilot->estimator, measured, out, out + 3);
+    measured += 13;
+    out += 6;
+  }
+}
+
+void harness_battery(qj_pilot *pilot, const float *samples, float *out, uint32_t count) {
+  pilot->battery.started = 0U;
+  for (uint32_t i = 0U; i < count; ++i) {
+    (void)qj_battery_update(&pilot->policy, &pilot->battery, samples, out);
+    samples += 8;
+    ++out;
+  }
+}
+
+/* A step on board. */
+void harness_step(qj_pilot *pilot, const qj_vehicle *vehicle, float *out) {
+  pilot->racing = 0U; /* so that every call is a step */
+  (void)qj_pilot_step(pilot, vehicle->time_us, vehicle, out);
+}

@@ -1,0 +1,240 @@
+"""The C of an export with its harness, compiled for this machine or an emulated processor."""
+
+import ctypes
+import dataclasses
+import functools
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quadjax.core.files import write_bytes
+from quadjax.export.targets import RUNTIME, Target, pilot_options, runtime_files, sources_of
+from quadjax.export.verify.result import Skipped, require
+from quadjax.export.verify.toolchain import (
+    FREESTANDING,
+    Compiler,
+    arm_none_eabi,
+    bebop,
+    has_module,
+    host,
+    zig_arm,
+    zig_thumb,
+)
+from quadjax.export.words import COMMANDS, FixedPolicy
+
+if TYPE_CHECKING:
+    pass  # needs packages of an extra
+
+HOST = RUNTIME / "host"
+VEHICLE = np.dtype(  # qj_vehicle
+    [("time_us", "<u4")]
+    + [(name, "<f4", size) for name, size in (
+        ("position", 3), ("velocity", 3), ("euler", 3), ("quaternion", 4), ("rates", 3),
+        ("rotor_speed", 4), ("rpm", 4), ("thrust", 1), ("moment_ext", 3), ("force_ext", 3),
+        ("gyro", 3), ("specific_force", 3), ("body_velocity", 3), ("others_command", 4),
+    )]
+)  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Build:
+    """The C by one compiler for one processor, and the kernel that runs."""
+
+    label: str
+    make: Callable[[], Compiler]
+    kernel: int = 0  # 1: NEON
+    options: tuple[str, ...] = ()
+
+
+BUILDS = {
+    "Cortex-A9": (
+        Build("scalar, zig", functools.partial(zig_arm, neon=False)),
+        Build("NEON, zig", functools.partial(zig_arm, neon=True), 1),
+        Build("scalar, gcc", bebop, options=("-DQJ_WITH_NEON=1",)),
+        Build("NEON, gcc", bebop, 1, ("-DQJ_WITH_NEON=1",)),
+    ),
+    **{
+        processor: (
+            Build("zig", functools.partial(zig_thumb, processor)),
+            Build("gcc", functools.partial(arm_none_eabi, processor)),
+        )
+        for processor in ("Cortex-M7", "Cortex-M4")
+    },
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Sources:
+    """The C of a target in a folder, and what it is compiled with."""
+
+    target: Target
+    folder: Path  # a copy of the C, as the converter writes it
+    call_ns: int  # between two calls of the pilot
+
+    @classmethod
+    def write(
+        cls, target: Target, files: dict[str, bytes] | None, work: Path, policy: FixedPolicy
+    ) -> "Sources":
+        """Write the C; without ``files`` the runtime with its largest sizes.
+
+        A firmware of the user's calls the pilot at the rate of the estimators, or once a step.
+        """
+        if files is None:
+            texts = {name: text.encode() for name, text in runtime_files(target).items()}
+            files = texts | {f"{target.folder}/qj_sizes.h": (RUNTIME / "qj_sizes.h").read_bytes()}
+        for name, data in files.items():
+            write_bytes(work / name, data)
+        rates = [t.sample_rate for t in (policy.battery, policy.estimator) if t is not None]
+        rate = target.calls or (rates or [1.0 / policy.time_step])[0]
+        return cls(target, work, round(1e9 / rate))
+
+    @property
+    def include(self) -> Path:
+        """The folder of the headers."""
+        return self.folder / self.target.folder
+
+    @property
+    def flying(self) -> list[Path]:
+        """The C that flies, without the autopilot's glue."""
+        return [self.folder / name for name in sources_of(self.target)]
+
+    @property
+    def options(self) -> list[str]:
+        """Of the compiler."""
+        return [f"-I{self.include}", *pilot_options(self.target, self.call_ns, disturbances=True)]
+
+
+def load_library(
+    compiler: Compiler, sources: Sequence[Path], output: Path, extra: Sequence[str] = ()
+) -> ctypes.CDLL:
+    """Build C that needs no C library for this machine, and load it."""
+    options, sources = ["-shared", "-fPIC", *extra], list(sources)
+    if compiler.name == "zig cc" and sys.platform == "linux":
+        # Otherwise it would first build parts of a C library, which takes it seconds.
+        options.append("-nostdlib")
+        sources.append(HOST / "memory.c")
+    return ctypes.CDLL(str(compiler.build(sources, output, options)))
+
+
+class Library:
+    """The C on this machine, with a policy loaded."""
+
+    def __init__(self, sources: Sources, policy: FixedPolicy, words: bytes, work: Path) -> None:
+        """Build it and load the words.
+
+        Raises:
+            Failed: the loader or the pilot refuses them.
+        """
+        self._policy, self._words = policy, np.frombuffer(words, np.int32).copy()
+        files = [*sources.flying, HOST / "harness.c"]
+        library = load_library(host(), files, work / "host.so", sources.options)
+        self._library = library
+        self._pilot = np.zeros(library.harness_size() // 8 + 1, np.int64)
+        error = library.harness_load(*_pointers(self._pilot, self._words), len(words), 0)
+        require(error == 0, f"the loader or the pilot refuses the words: error {error}")
+
+    def _rows(
+        self, name: str, columns: int, kind: type, x: np.ndarray, *between: np.ndarray | int
+    ) -> np.ndarray:
+        out = np.zeros((len(x), columns), kind)
+        values = [v.ctypes.data_as(ctypes.c_void_p) if isinstance(v, np.ndarray) else v
+                  for v in (self._pilot, np.ascontiguousarray(x), *between, out)]  # fmt: skip
+        getattr(self._library, f"harness_{name}")(*values, len(x))
+        return out
+
+    def forward(self, q: np.ndarray) -> np.ndarray:
+        """Rows (n, 5) int32, commands and trace, of inputs (n, inputs) int32."""
+        return self._rows("forward", COMMANDS + 1, np.int32, q.astype(np.int32))
+
+    def observe(self, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
+        """Rows (n, inputs + 3) int32 of the states of one flight and their targets."""
+        columns, goals = self._policy.network.inputs + 3, targets.astype(np.uint32)
+        return self._rows("observe", columns, np.int32, states.astype(np.float32), goals)
+
+    def events(self, positions: np.ndarray, target: int) -> np.ndarray:
+        """Rows (n, 2): event and target along positions (n, 3)."""
+        return self._rows("events", 2, np.uint32, positions.astype(np.float32), target)
+
+    def estimate(self, measurements: np.ndarray) -> np.ndarray:
+        """Moments and forces (n, 6) along measurements (n, 13)."""
+        return self._rows("estimate", 6, np.float32, measurements.astype(np.float32))
+
+    def highest_rpm(self, samples: np.ndarray) -> np.ndarray:
+        """Estimates (n,) of the highest speed, rpm, along samples (n, 8)."""
+        return self._rows("battery", 1, np.float32, samples.astype(np.float32))[:, 0]
+
+
+def _pointers(*arrays: np.ndarray) -> list[ctypes.c_void_p]:
+    return [array.ctypes.data_as(ctypes.c_void_p) for array in arrays]
+
+
+class OnBoard:
+    """The C on an emulated processor, with a policy loaded."""
+
+    def __init__(self, sources: Sources, build: Build, words: bytes, work: Path) -> None:
+        """Build it and load the words.
+
+        Raises:
+            Failed: the loader or the pilot refuses them.
+            Skipped: no emulator, or no compiler.
+        """
+        for module in ("unicorn", "elftools"):
+            if not has_module(module):
+                raise Skipped(f"no {module}; pip install 'quadjax[verify]'")
+        from quadjax.export.verify.machine import Machine  # needs packages of an extra
+
+        compiler = build.make()
+        flags = ["-Wl,-e,harness_load", *sources.options, *build.options]
+        flags += [] if compiler.name == "zig cc" else FREESTANDING
+        memory = HOST / "memory.c"
+        slug = f"{sources.target.processor}_{build.label}".replace(", ", "_").replace(" ", "_")
+        files = [*sources.flying, HOST / "harness.c", memory]
+        elf = compiler.build(files, work / f"{slug}.elf", flags)
+        self.compiler = compiler.name
+        self.machine: Machine = Machine(elf, sources.target.processor)
+        self.read_only, self.writable = sizes_of(elf)
+        self._words = self.machine.place(np.frombuffer(words, np.int32)), len(words)
+        self.pilot = self.machine.reserve(self.machine.call("harness_size"))
+        arguments = (self.pilot, *self._words, build.kernel)
+        error = self.machine.call("harness_load", *arguments)
+        require(error == 0, f"{build.label}: the loader or the pilot refuses the words: {error}")
+
+    def loading(self) -> tuple[int, int]:
+        """Instructions and bytes of stack of ``qj_load``."""
+        policy = self.machine.reserve(4096)
+        race = self.machine.reserve(2**18)
+        return self.machine.count("qj_load", policy, race, *self._words)
+
+    def rows(self, name: str, columns: int, count: int, *parts: np.ndarray) -> np.ndarray:
+        """Rows (count, columns) int32 of a harness function."""
+        out = self.machine.reserve(4 * columns * count)
+        places = [self.machine.place(part) for part in parts]
+        self.machine.call(f"harness_{name}", self.pilot, *places, out, count)
+        return self.machine.read(out, np.int32, (count, columns))
+
+    def count(self, name: str, row: np.ndarray) -> tuple[int, int]:
+        """Instructions and bytes of stack of a harness function of one row."""
+        place, out = self.machine.place(row), self.machine.reserve(64)
+        return self.machine.count(f"harness_{name}", self.pilot, place, out)
+
+
+def sizes_of(elf: Path) -> tuple[int, int]:
+    """Bytes of read-only code and data, and of writable data."""
+    from elftools.elf.elffile import ELFFile
+
+    with open(elf, "rb") as stream:
+        found = [s for s in ELFFile(stream).iter_sections() if s["sh_flags"] & 2]
+        writable = sum(s["sh_size"] for s in found if s["sh_flags"] & 1)
+        return sum(s["sh_size"] for s in found) - writable, writable
+
+
+def vehicles(policy: FixedPolicy, states: np.ndarray) -> np.ndarray:
+    """States (n, state_size) as ``qj_vehicle``; zeros for what the policy lacks."""
+    found = np.zeros(len(states), VEHICLE)
+    for field in policy.race.fields:
+        if field.name in VEHICLE.names:
+            found[field.name] = states[:, field.start : field.start + len(field.exponents)]
+    return found
