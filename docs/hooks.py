@@ -60,7 +60,7 @@ def plant_page() -> str:
 def sweep_page() -> str:
     """Every key of a sweep file, by section."""
     from quadjax.config.reference import describe, markdown, sections_of
-    from quadjax.sweeps.sweep import Range, SweepFile
+    from quadjax.sweeps.schema import Range, SweepFile
 
     values = ("Values of `space`", describe(Range))
     return markdown("Sweep file keys", [*sections_of(SweepFile, "The sweep"), values])

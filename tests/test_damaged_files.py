@@ -24,7 +24,7 @@ from quadjax.sweeps.sweep import load_sweep
 from quadjax.training.metrics import read_metrics
 from tests.policy.writers import linear, state_dict
 from tests.surface.damage import SETTINGS, damaged
-from tests.sweeps.support import sweep_file
+from tests.sweeps.stand_in import sweep_file
 
 
 def write_flight(path: Path) -> None:

@@ -1,6 +1,5 @@
 """``quadjax sweep``."""
 
-import time
 from pathlib import Path
 from typing import Annotated
 
@@ -11,16 +10,8 @@ from quadjax.core.errors import INTERRUPTED
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
 
-FILES = (  # written by a sweep
-    "study.journal*",
-    "trials",
-    "trials.csv",
-    "logs",
-    "report.md",
-    "best.yaml",
-    "parallel.png",
-    "slices.png",
-)
+FIGURES = ("parallel.png", "slices.png", "importances.png")
+FILES = ("study.journal*", "trials", "trials.csv", "logs", "report.md", "best.yaml", *FIGURES)
 
 
 def sweep(
@@ -49,41 +40,35 @@ def sweep(
     """
     with loading():
         from quadjax.core.folders import check_kind, claim, remove_files
-        from quadjax.sweeps import study as studies
         from quadjax.sweeps.report import write_report
+        from quadjax.sweeps.study import OPEN, State, count, delete_study, open_study, progress
         from quadjax.sweeps.sweep import load_sweep
 
     changes = [*overrides, *([f"executor.workers={workers}"] if workers else [])]
     plan = load_sweep(find_config(config, "sweeps"), changes)
-    folder = output / plan.file.name
+    folder, kind = output / plan.file.name, plan.file.executor.kind
     if check:
         print(f"{config}: {plan.trials} trials of {plan.file.objective.seeds} seeds can run")
         return 0
     if report:
         check_kind(folder, "sweep", () if overwrite else FILES)
-        print(write_report(studies.open_study(plan, folder, run=False), plan, folder))
+        print(write_report(open_study(plan, folder, run=False), plan, folder))
         return 0
-    from quadjax.sweeps.run import count, run_sweep, train_and_fly
+    from quadjax.sweeps.run import run_sweep, train_and_fly
     from quadjax.sweeps.workers import make_workers
 
     with claim(folder, "sweep", FILES, overwrite):
         if overwrite:
-            studies.delete_study(plan, folder)
+            delete_study(plan, folder)
             remove_files(folder, FILES)
-        workers_of = make_workers(plan.file.executor, folder)
-        kind = plan.file.executor.kind
-        print(f"{plan.file.name}: {plan.trials} trials, {workers_of.count} workers ({kind})")
-        started = time.monotonic()
-        ended = run_sweep(plan, folder, workers_of, train_and_fly)
-        study = studies.open_study(plan, folder, run=False)
+        pool = make_workers(plan.file.executor, folder)
+        print(f"{plan.file.name}: {plan.trials} trials, {pool.count} workers ({kind})")
+        ended = run_sweep(plan, folder, pool, train_and_fly)
+        study = open_study(plan, folder, run=False)
         print(write_report(study, plan, folder))
+    print(progress(study))
     counts = count(study)
-    to_do = plan.trials - counts.done - counts.failed
-    seconds = time.monotonic() - started
-    print(f"{counts.done} trials done, {to_do} to do, {seconds:.0f} s of wall time")
-    if to_do:
+    if any(counts[state] for state in OPEN):
         print("The same command runs the rest.")
         return 0 if ended else INTERRUPTED
-    if counts.failed:
-        print(f"{counts.failed} trials failed; see the table")
-    return 1 if counts.failed else 0
+    return int(counts[State.FAIL] > 0)

@@ -12,7 +12,7 @@ import traceback
 import uuid
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import optuna
 
@@ -20,10 +20,13 @@ from quadjax.config.race import build_params
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import interruptions
 from quadjax.sweeps.study import (
+    OPEN,
     OVER,
     State,
+    count,
     latest_trials,
     open_study,
+    progress,
     retry_running,
     storage_errors,
 )
@@ -97,7 +100,7 @@ def objective(
         return pruned or stop.is_set()
 
     try:
-        params = {key: sweep.suggest(trial, key) for key in sweep.space}
+        params = sweep.suggest(trial)
         for seed in seeds:
             folder = directory.resolve() / "trials" / f"{index:04d}" / f"seed{seed}"
             if (result := measure(sweep, params, index, seed, folder, enough)) is None:
@@ -107,10 +110,10 @@ def objective(
         traceback.print_exc()
         kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
         trial.set_user_attr("error", f"{kind}{error}".partition("\n")[0])
-    trial.set_user_attr("values", values)
-    trial.set_user_attr("finished", finished / max(len(values), 1))
-    trial.set_user_attr("host", socket.gethostname())
-    trial.set_user_attr("seconds", round(time.monotonic() - started, 1))
+    attrs = {"values": values, "finished": finished / max(len(values), 1)}
+    attrs |= {"host": socket.gethostname(), "seconds": round(time.monotonic() - started, 1)}
+    for key, value in attrs.items():
+        trial.set_user_attr(key, value)
     if pruned:
         raise optuna.TrialPruned
     if len(values) < len(seeds):
@@ -147,26 +150,30 @@ def run_sweep(
     study, started = open_study(sweep, directory), time.monotonic()
     seconds, journal = sweep.file.budget.seconds or math.inf, sweep.file.storage == "journal"
     arguments = (sweep, directory.resolve(), measure, time.time() + seconds)
-    first = shown = count(study)
+    first = printed = count(study)
     running: dict[int, tuple[str, Any]] = {}
     guard = contextlib.nullcontext() if journal else storage_errors(sweep, directory)
     with interruptions() as stop, guard:
-        while (now := count(study)).waiting + now.running or running:
-            elapsed, asked = time.monotonic() - started, stop.is_set()
-            over = asked or elapsed > seconds
-            if now != shown:
-                shown, text = now, progress(now, first.done, elapsed)
-                print(f"{sweep.file.name}: {text}", file=sys.stderr, flush=True)
-            for slot in range(0 if over else min(workers.count, now.waiting + len(running))):
+        while (left := sum((now := count(study))[state] for state in OPEN)) or running:
+            elapsed, interrupted = time.monotonic() - started, stop.is_set()
+            over = interrupted or elapsed > seconds
+            if now != printed:
+                printed, text = now, f"{sweep.file.name}: {progress(study)}"
+                if done := sum(now[state] - first[state] for state in OVER):
+                    text += (
+                        f", about {datetime.timedelta(seconds=round(elapsed / done * left))} left"
+                    )
+                print(text, file=sys.stderr, flush=True)
+            for slot in range(0 if over else min(workers.count, now[State.WAITING] + len(running))):
                 if slot not in running:
                     name = uuid.uuid4().hex
                     running[slot] = name, workers.start(slot, work, *arguments, slot, name)
             for slot, (name, worker) in list(running.items()):
-                if asked:
+                if interrupted:
                     workers.stop(worker)
                 if (reason := workers.reason(worker)) is not None:
                     del running[slot]
-                    if reason and not asked:
+                    if reason and not interrupted:
                         retry_running(study, sweep, reason, name)
             if over and not running:
                 break
@@ -176,36 +183,3 @@ def run_sweep(
                 optuna.storages.fail_stale_trials(study)
             time.sleep(POLL_SECONDS)
     return not stop.is_set()
-
-
-class Counts(NamedTuple):
-    """The number of trials in each state."""
-
-    done: int  # complete or pruned
-    running: int
-    waiting: int
-    failed: int  # not retried any more
-    best: float | None  # of the complete trials with a finished flight
-
-
-def count(study: optuna.Study) -> Counts:
-    """The number of trials by state."""
-    trials = latest_trials(study).values()
-    states = [trial.state for trial in trials]
-    failed = sum(t.state == State.FAIL and "error" in t.user_attrs for t in trials)
-    flown = [t for t in trials if t.state == State.COMPLETE and t.user_attrs["finished"]]
-    best = min((t.value for t in flown if t.value is not None), default=None)
-    done = sum(state in OVER for state in states)
-    return Counts(done, states.count(State.RUNNING), states.count(State.WAITING), failed, best)
-
-
-def progress(counts: Counts, before: int, seconds: float) -> str:
-    """Trials done, the best value, and the time left at ``seconds`` since ``before`` were done."""
-    open_trials = counts.running + counts.waiting
-    text = f"{counts.done}/{counts.done + counts.failed + open_trials} trials, "
-    text += "no flight finished yet" if counts.best is None else f"best {counts.best:.2f} s"
-    text += f", {counts.failed} failed" if counts.failed else ""
-    if counts.done > before:
-        left = datetime.timedelta(seconds=round(seconds / (counts.done - before) * open_trials))
-        text += f", about {left} left"
-    return text

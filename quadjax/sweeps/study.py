@@ -7,6 +7,7 @@ several trials of an index, which two machines may queue at the same time, the f
 
 import contextlib
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,7 +23,7 @@ HEARTBEAT = 15  # s, in a database
 GRACE = 4  # missed heartbeats after which a trial of another machine is retried
 ATTEMPTS = 10  # to open a database whose tables others create
 State = optuna.trial.TrialState
-OVER = (State.COMPLETE, State.PRUNED)
+OVER, OPEN = (State.COMPLETE, State.PRUNED), (State.RUNNING, State.WAITING)
 Retry = optuna.storages.RetryHeartbeatStaleTrialCallback  # queues a failed trial again
 
 
@@ -62,7 +63,17 @@ def open_study(sweep: Sweep, directory: Path, run: bool = True, slot: int = 0) -
             pruner=pruners[search.pruner],
             load_if_exists=True,
         )
-        _check_definition(study, sweep.definition())
+        wanted = sweep.definition()
+        before = study.user_attrs.get("definition", wanted)
+        for key in [*before, *wanted]:
+            if before.get(key) != wanted.get(key):
+                change = f"{key} was {before.get(key)}, is {wanted.get(key)}"
+                hint = "choose another name=NAME, or start over with --overwrite"
+                raise InputError(
+                    f"the study {study.study_name} is of another sweep: {change}; {hint}"
+                )
+        if "definition" not in study.user_attrs:
+            study.set_user_attr("definition", wanted)
         if run:
             _fill(study, sweep)
     return study
@@ -112,26 +123,11 @@ def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
 
 
 def delete_study(sweep: Sweep, directory: Path) -> None:
-    """Delete a sweep's trials from its storage."""
-    if sweep.file.storage == "journal":
-        (directory / JOURNAL).unlink(missing_ok=True)
-        return
-    with storage_errors(sweep, directory), contextlib.suppress(KeyError):
-        optuna.delete_study(
-            study_name=sweep.file.name, storage=_storage(sweep, directory / JOURNAL)
-        )
-
-
-def _check_definition(study: optuna.Study, wanted: dict[str, str]) -> None:
-    """Store the definition of a new study; ``InputError`` for a study of another sweep."""
-    before = study.user_attrs.get("definition")
-    if before is None:
-        study.set_user_attr("definition", wanted)
-    elif before != wanted:
-        key = next(k for k in [*before, *wanted] if before.get(k) != wanted.get(k))
-        change = f"{key} was {before.get(key)}, is {wanted.get(key)}"
-        hint = "choose another name=NAME, or start over with --overwrite"
-        raise InputError(f"the study {study.study_name} is of another sweep: {change}; {hint}")
+    """Delete a sweep's trials from a database; those of the journal are a file."""
+    if sweep.file.storage != "journal":
+        with storage_errors(sweep, directory), contextlib.suppress(KeyError):
+            storage = _storage(sweep, directory / JOURNAL)
+            optuna.delete_study(study_name=sweep.file.name, storage=storage)
 
 
 def _fill(study: optuna.Study, sweep: Sweep) -> None:
@@ -172,3 +168,19 @@ def latest_trials(study: optuna.Study) -> dict[int, optuna.trial.FrozenTrial]:
         if index is not None and (index not in latest or latest[index].state == State.FAIL):
             latest[index] = trial
     return latest
+
+
+def count(study: optuna.Study) -> Counter[State]:
+    """The number of trials in each state; failed ones are those that are not retried."""
+    trials = latest_trials(study).values()
+    return Counter(t.state for t in trials if t.state != State.FAIL or "error" in t.user_attrs)
+
+
+def progress(study: optuna.Study) -> str:
+    """Trials that are over, of all, and the shortest lap time of those that finished a flight."""
+    counts, trials = count(study), latest_trials(study).values()
+    flown = [t for t in trials if t.state == State.COMPLETE and t.user_attrs["finished"]]
+    best = min((t.values[0] for t in flown), default=None)
+    text = f"{sum(counts[state] for state in OVER)}/{counts.total()} trials, "
+    text += "no flight finished yet" if best is None else f"best {best:.2f} s"
+    return text + (f", {counts[State.FAIL]} failed" if counts[State.FAIL] else "")

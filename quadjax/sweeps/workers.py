@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 
 from quadjax.core.errors import InputError
-from quadjax.sweeps.sweep import Executor
+from quadjax.sweeps.schema import Executor
 
 SPAWN = multiprocessing.get_context("spawn")  # JAX does not support fork
 MEMORY = 0.9  # fraction of a GPU's memory that its trials share
@@ -26,18 +26,18 @@ class LocalWorkers:
 
     def __init__(self, executor: Executor, logs: Path) -> None:
         """Prepare; ``InputError`` for more workers than there are cores, or GPUs for them."""
-        process, gpus, self._share = psutil.Process(), visible_gpus(), executor.gpus
-        self._cores = process.cpu_affinity() if hasattr(process, "cpu_affinity") else []
-        room, what = len(self._cores) or psutil.cpu_count() or 1, "the cores of this process"
-        self._gpus: list[str] = []
-        if executor.gpus:
-            room, what = int(len(gpus) / executor.gpus + 1e-9), f"room on {len(gpus)} GPUs"
-            firsts = [int(slot * executor.gpus + 1e-9) for slot in range(room)]
-            self._gpus = [",".join(gpus[i : i + math.ceil(executor.gpus)]) for i in firsts]
-            self._cores = []
-        self.count, self._logs = executor.workers or room, logs
+        process, gpus, n = psutil.Process(), visible_gpus(), executor.gpus
+        pinned = hasattr(process, "cpu_affinity")
+        cores = process.cpu_affinity() if pinned else [None] * (psutil.cpu_count() or 1)
+        self._places: list[tuple[int | None, str | None]] = [(core, None) for core in cores]
+        key, what = "workers", "the cores of this process"
+        if n:
+            firsts = [int(slot * n + 1e-9) for slot in range(int(len(gpus) / n + 1e-9))]
+            self._places = [(None, ",".join(gpus[i : i + math.ceil(n)])) for i in firsts]
+            key, what = "workers" if firsts else "gpus", f"room on {len(gpus)} GPUs"
+        room = len(self._places)
+        self.count, self._share, self._logs = executor.workers or room, n, logs
         if self.count > room or not room:
-            key = "workers" if room else "gpus"
             value = getattr(executor, key)
             raise InputError(f"executor.{key} is {value:g}, allowed: up to {room}, {what}")
 
@@ -45,14 +45,8 @@ class LocalWorkers:
         """Call a function in a worker."""
         self._logs.mkdir(parents=True, exist_ok=True)
         log = self._logs / f"worker{slot}.log"
-        core = self._cores[slot] if self._cores else None
-        gpu = self._gpus[slot] if self._gpus else None
-        process = SPAWN.Process(
-            target=_serve,
-            args=(log, core, gpu, self._share, function, *arguments),
-            name=str(log),
-            daemon=True,
-        )
+        own = (log, *self._places[slot], self._share, function, *arguments)
+        process = SPAWN.Process(target=_serve, args=own, name=str(log), daemon=True)
         process.start()
         return process
 

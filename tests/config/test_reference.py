@@ -5,7 +5,7 @@ import pytest
 from quadjax.config.reference import describe, markdown, sections_of, training_sections
 from quadjax.fitting.config import FitConfig
 from quadjax.plant.config import PlantConfig
-from quadjax.sweeps.sweep import Range, SweepFile
+from quadjax.sweeps.schema import Range, SweepFile
 
 SCHEMAS = {
     "training": training_sections,

@@ -1,7 +1,6 @@
 """Two sweeps on one PostgreSQL database, on a server that the test itself starts."""
 
 import os
-import pwd
 import shutil
 import socket
 import subprocess
@@ -12,44 +11,31 @@ from pathlib import Path
 import pytest
 
 from quadjax.sweeps import study as studies
-from quadjax.sweeps.run import count
-from quadjax.sweeps.study import State, delete_study, open_study
+from quadjax.sweeps.study import State, count, delete_study, open_study
 from quadjax.sweeps.sweep import load_sweep
 from tests.sweeps import stand_in
-from tests.sweeps.support import complete, open_small, run_small, sweep_file
+from tests.sweeps.stand_in import complete, open_small, run_small, sweep_file
 
 pytestmark = pytest.mark.slow
 
-PLACES = [str(p) for p in sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)]
-
-
-def _find(name: str) -> str | None:
-    return shutil.which(name, path=os.pathsep.join([*PLACES, os.environ.get("PATH", "")]))
-
-
-def _user() -> str | None:
-    """Whom the server runs as: never root."""
-    if os.getuid() != 0:
-        return pwd.getpwuid(os.getuid()).pw_name
-    names = [entry.pw_name for entry in pwd.getpwall()]
-    return next((name for name in ("postgres", "nobody") if name in names), None)
+PROGRAMS = os.pathsep.join(
+    [*map(str, Path("/usr/lib/postgresql").glob("*/bin")), os.environ["PATH"]]
+)
 
 
 @pytest.fixture(scope="module")
 def url():
     pytest.importorskip("psycopg", reason="the PostgreSQL driver is not installed")
-    initdb, pg_ctl, user = _find("initdb"), _find("pg_ctl"), _user()
+    initdb, pg_ctl = (shutil.which(name, path=PROGRAMS) for name in ("initdb", "pg_ctl"))
     if initdb is None or pg_ctl is None:
         pytest.skip("no PostgreSQL server is installed (Debian: postgresql)")
-    if user is None or (os.getuid() == 0 and shutil.which("runuser") is None):
-        pytest.skip("running as root, and there is nobody to run PostgreSQL as")
-    as_user = ["runuser", "-u", user, "--"] if os.getuid() == 0 else []
+    as_user = ["runuser", "-u", "postgres", "--"] if os.getuid() == 0 else []  # never as root
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     folder = Path(tempfile.mkdtemp(prefix="quadjax-postgresql-"))
     if as_user:
-        shutil.chown(folder, user)
+        shutil.chown(folder, "postgres")
 
     def run(*command: str) -> None:
         # Output to a file: the server keeps what it is given for as long as it runs.
@@ -88,12 +74,12 @@ def test_a_trial_of_a_silent_machine_is_run_by_another(tmp_path, url, monkeypatc
     entries = {"storage": url, "name": "second", "budget": {"trials": 1}}
     sweep, directory, study = open_small(tmp_path, **entries)
     taken = study.ask()
-    params = {key: sweep.suggest(taken, key) for key in sweep.space}
+    params = sweep.suggest(taken)
     study._storage.record_heartbeat(taken._trial_id)  # as the machine that dies now did
     again = open_study(sweep, directory)
-    assert count(again).running == 1
+    assert count(again)[State.RUNNING] == 1
     assert run_small(sweep, directory, stand_in.measure)
     assert [t.state for t in again.get_trials()] == [State.FAIL, State.COMPLETE]
     assert complete(again)[0].params == params
     delete_study(sweep, directory)
-    assert count(open_study(sweep, directory)).waiting == 1
+    assert count(open_study(sweep, directory)) == {State.WAITING: 1}

@@ -5,15 +5,10 @@ import traceback
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.sweeps.run import count
-from quadjax.sweeps.study import JOURNAL, OVER, Retry, State, open_study
+from quadjax.sweeps.study import JOURNAL, Retry, State, count, open_study
 from quadjax.sweeps.sweep import load_sweep
 from tests.commands import run
-from tests.sweeps.support import CLIP, RATE, complete, finish, open_small, sweep_file
-
-
-def states(study) -> list[State]:
-    return [trial.state for trial in study.get_trials(deepcopy=False)]
+from tests.sweeps.stand_in import CLIP, RATE, complete, finish, open_small, sweep_file
 
 
 def test_random_parameters_do_not_depend_on_the_order_of_the_trials(tmp_path):
@@ -21,8 +16,7 @@ def test_random_parameters_do_not_depend_on_the_order_of_the_trials(tmp_path):
         sweep, _, study = open_small(tmp_path / name)
         trials = [study.ask() for _ in range(4)]
         for index in order:
-            params = {key: sweep.suggest(trials[index], key) for key in sweep.space}
-            study.tell(trials[index], sum(params.values()))
+            study.tell(trials[index], sum(sweep.suggest(trials[index]).values()))
         return [trial.params for trial in complete(study)]
 
     first = drawn("a", [0, 1, 2, 3])
@@ -66,45 +60,22 @@ def test_the_base_config_may_be_the_first_trial(tmp_path):
         assert finish(study, sweep, 1.0).params != base
 
 
-def test_a_trial_of_a_killed_command_is_queued_again_with_its_parameters(tmp_path):
-    sweep, directory, study = open_small(tmp_path, "budget.trials=2")
-    taken = study.ask()
-    params = {key: sweep.suggest(taken, key) for key in sweep.space}
-    again = open_study(sweep, directory)
-    assert count(again).waiting == 2 and states(again)[0] == State.FAIL
-    finish(again, sweep)
-    trial = finish(again, sweep)
-    assert trial.user_attrs["index"] == 0 and trial.params == params
-    assert count(open_study(sweep, directory)).done == 2
-
-
-def test_a_command_killed_between_failing_and_queueing_a_trial_loses_nothing(tmp_path):
-    sweep, directory, study = open_small(tmp_path, "budget.trials=1")
-    study.tell(study.ask(), state=State.FAIL)
-    assert count(study).waiting == 0
-    assert count(open_study(sweep, directory)).waiting == 1
-
-
-def test_a_trial_that_was_given_up_is_not_queued_again(tmp_path):
-    sweep, directory, study = open_small(tmp_path, "budget.trials=1")
-    trial = study.ask()
-    trial.set_user_attr("error", "out of memory")
-    study.tell(trial, state=State.FAIL)
-    found = count(open_study(sweep, directory))
-    assert (found.failed, found.waiting, found.done) == (1, 0, 0)
-
-
-def test_a_report_reads_the_study_and_changes_nothing(tmp_path):
+def test_a_killed_command_loses_no_trial_and_a_trial_that_was_given_up_stays_so(tmp_path):
     sweep, directory, study = open_small(tmp_path)
-    study.ask()
-    assert count(open_study(sweep, directory, run=False)).running == 1
-
-
-def test_a_value_of_a_retried_trial_counts_whatever_comes_later(tmp_path):
-    sweep, _, study = open_small(tmp_path, "budget.trials=1")
-    finish(study, sweep, 12.0)
-    Retry()(study, study.trials[0])
-    assert count(study).done == 1 and count(study).best == 12.0 and states(study)[0] in OVER
+    params = sweep.suggest(study.ask())
+    lost, given_up = study.ask(), study.ask()
+    study.tell(lost, state=State.FAIL)  # killed before it was queued again
+    given_up.set_user_attr("error", "out of memory")
+    study.tell(given_up, state=State.FAIL)
+    wanted = {State.RUNNING: 1, State.WAITING: 1, State.FAIL: 1}
+    assert count(study) == count(open_study(sweep, directory, run=False)) == wanted
+    again = open_study(sweep, directory)
+    assert count(again) == {State.WAITING: 3, State.FAIL: 1}
+    trials = {t.user_attrs["index"]: t for t in (finish(again, sweep) for _ in range(3))}
+    assert sorted(trials) == [0, 1, 3] and trials[0].params == params
+    assert count(open_study(sweep, directory)) == {State.COMPLETE: 3, State.FAIL: 1}
+    Retry()(again, again.trials[0])  # of another machine: the value counts, whatever comes later
+    assert count(again) == {State.COMPLETE: 3, State.FAIL: 1}
 
 
 def test_a_line_without_an_end_is_dropped_and_other_damage_is_one_line(tmp_path):
@@ -114,9 +85,9 @@ def test_a_line_without_an_end_is_dropped_and_other_damage_is_one_line(tmp_path)
     whole = journal.read_bytes()
     journal.write_bytes(whole + b'{"op_code": 6, "tri')
     again = open_study(sweep, directory)
-    assert count(again).done == 1
+    assert count(again)[State.COMPLETE] == 1
     finish(again, sweep)
-    assert count(open_study(sweep, directory)).done == 2
+    assert count(open_study(sweep, directory))[State.COMPLETE] == 2
     lines = whole.splitlines(keepends=True)
     damages = [
         b"\x00\xff\n".join(lines),
@@ -131,22 +102,17 @@ def test_a_line_without_an_end_is_dropped_and_other_damage_is_one_line(tmp_path)
         assert "\n" not in str(caught.value)
 
 
-def test_a_study_takes_only_its_own_sweep(tmp_path):
+def test_a_study_takes_only_its_own_sweep_and_its_budget_only_grows(tmp_path):
     open_small(tmp_path)
-    with pytest.raises(InputError, match=r"objective.seeds was 1, is 2"):
-        open_small(tmp_path, objective={"seeds": 2, "runs": 2})
-    with pytest.raises(InputError, match=r"space.learner.clip_range was .*0.3.* is .*0.4"):
-        open_small(tmp_path, "space.learner.clip_range.range=[0.1,0.4]")
-    with pytest.raises(InputError, match=r"config.*discount was 0.99.*, is 0.9"):
-        open_small(tmp_path, "overrides.learner.discount=0.9")
-    assert count(open_small(tmp_path)[2]).waiting == 4
-
-
-def test_a_budget_can_grow_and_not_shrink(tmp_path):
-    open_small(tmp_path)
-    assert count(open_small(tmp_path, "budget.trials=6")[2]).waiting == 6
-    with pytest.raises(InputError, match="holds 6 trials, budget.trials is 4"):
-        open_small(tmp_path)
+    assert count(open_small(tmp_path, "budget.trials=6")[2]) == {State.WAITING: 6}
+    for change, message in (
+        ("objective.seeds=2", r"objective.seeds was 1, is 2"),
+        (f"space.{CLIP}.range=[0.1,0.4]", r"space.learner.clip_range was .*0.3.* is .*0.4"),
+        ("overrides.learner.discount=0.9", r"config.*discount was 0.99.*, is 0.9"),
+        ("budget.trials=4", "holds 6 trials, budget.trials is 4"),
+    ):
+        with pytest.raises(InputError, match=message):
+            open_small(tmp_path, "budget.trials=6", change)
 
 
 PASSWORDS = {  # storage, and the forms of the password

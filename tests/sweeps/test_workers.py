@@ -1,21 +1,21 @@
-"""Whole sweeps in local processes: pinned workers, killed workers, killed sweeps, Ctrl-C."""
+"""Whole sweeps in processes and on Ray: pinned workers, killed workers, sweeps and nodes."""
 
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import psutil
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.sweeps.run import Counts, count, progress
-from quadjax.sweeps.study import State, open_study
+from quadjax.sweeps.study import State, count, open_study
 from quadjax.sweeps.sweep import load_sweep
 from quadjax.sweeps.workers import make_workers
 from tests.sweeps import stand_in
-from tests.sweeps.support import (
+from tests.sweeps.stand_in import (
     CLIP,
     RATE,
     ROOT,
@@ -57,12 +57,6 @@ def lines(folder, name) -> list[str]:
     return [line for path in folder.glob(f"trials/*/{name}") for line in path.read_text().split()]
 
 
-def ended(path, runs):
-    """The sweep's study and folder, as they are."""
-    sweep = load_sweep(path)
-    return open_study(sweep, runs / sweep.file.name, run=False), runs / sweep.file.name
-
-
 @pytest.mark.slow
 def test_killed_and_interrupted_sweeps_resume_and_run_every_trial_once(tmp_path):
     path, folder = sweep_file(tmp_path, budget={"trials": 6}), tmp_path / "runs" / "small"
@@ -72,19 +66,18 @@ def test_killed_and_interrupted_sweeps_resume_and_run_every_trial_once(tmp_path)
         (signal.SIGINT, 4, 130),
     ):
         begun = len(lines(folder, "workers"))
-        process = start(path, tmp_path / "runs", "executor.workers=2")
+        process = start(path, tmp_path / "runs")
         # As many may have finished before; this process handles signals once its workers run.
         wait_for(lambda n=begun: len(lines(folder, "workers")) > n, process)
         wait_for(lambda n=after: len(lines(folder, "finished")) >= n, process)
         process.send_signal(number)
         output, _ = process.communicate(timeout=LIMIT)
         assert process.returncode == status, output
-    process = start(path, tmp_path / "runs", "executor.workers=2")
+    process = start(path, tmp_path / "runs")
     output, _ = process.communicate(timeout=LIMIT)
     assert process.returncode == 0, output
     assert "6/6 trials, best" in output
-    study, _ = ended(path, tmp_path / "runs")
-    found = complete(study)
+    found = complete(open_study(load_sweep(path), folder, run=False))
     assert [trial.user_attrs["index"] for trial in found] == list(range(6))
     assert all(t.value == pytest.approx(value_of(t.params[CLIP], t.params[RATE])) for t in found)
     assert lines(folder, "ticks") == ["10"] * 6
@@ -102,14 +95,14 @@ def test_a_trial_is_retried_after_its_worker_died_and_given_up_the_second_time(t
         wait_for(lambda n=death: len(lines(folder, "workers")) > n, process)
         os.kill(int(lines(folder, "workers")[death]), signal.SIGKILL)
     output, _ = process.communicate(timeout=LIMIT)
-    study, _ = ended(path, tmp_path / "runs")
+    study = open_study(load_sweep(path), folder, run=False)
     trials = study.get_trials()
     assert trials[0].state == State.FAIL and trials[-1].params == trials[0].params
     if deaths == 1:
         assert process.returncode == 0, output
         assert [t.state for t in trials] == [State.FAIL, State.COMPLETE]
     else:
-        assert process.returncode == 1 and count(study).failed == 1
+        assert process.returncode == 1 and count(study)[State.FAIL] == 1
         assert "worker died (exit code -9; see" in trials[-1].user_attrs["error"]
 
 
@@ -132,7 +125,7 @@ def test_trials_are_pruned_and_a_budget_of_time_ends_the_sweep(tmp_path):
     sweep, directory, study = open_small(tmp_path, search=search, budget={"trials": 6})
     assert run_small(sweep, directory, stand_in.measure)
     pruned = [t for t in study.get_trials() if t.state == State.PRUNED]
-    assert pruned and count(study).done == 6 and all(t.intermediate_values for t in pruned)
+    assert pruned and count(study).total() == 6 and all(t.intermediate_values for t in pruned)
     best = min(complete(study), key=lambda t: t.value)
     assert best.value <= min(t.value for t in pruned)
 
@@ -140,36 +133,29 @@ def test_trials_are_pruned_and_a_budget_of_time_ends_the_sweep(tmp_path):
         tmp_path, "budget.seconds=1e-3", name="other", executor={"workers": 1}
     )
     assert run_small(sweep, directory, stand_in.measure)
-    assert count(study).done <= 1 and count(study).waiting >= 3
-
-
-def test_a_trial_that_cannot_run_is_given_up_with_its_reason(tmp_path):
-    sweep, directory, study = open_small(tmp_path, "budget.trials=1")
-    run_small(sweep, directory, _impossible)
-    assert count(study).failed == 1
-    assert study.trials[-1].user_attrs["error"] == "track: the gates overlap"
+    assert count(study)[State.WAITING] >= 3
 
 
 def _impossible(*_):
     raise InputError("track: the gates overlap")
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ("executor.workers=4000", r"executor.workers is 4000, allowed: up to \d+, the cores"),
-        ("executor.gpus=3", "executor.gpus is 3.*allowed: up to 0, room on 2 GPUs"),
-    ],
-)
-def test_more_workers_than_cores_or_gpus_are_refused(tmp_path, monkeypatch, change, message):
-    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
-    with pytest.raises(InputError, match=message):
-        make_workers(load_sweep(sweep_file(tmp_path), [change]).file.executor, tmp_path)
+def test_a_trial_that_cannot_run_is_given_up_with_its_reason(tmp_path):
+    sweep, directory, study = open_small(tmp_path, "budget.trials=1")
+    run_small(sweep, directory, _impossible)
+    assert count(study) == {State.FAIL: 1}
+    assert study.trials[-1].user_attrs["error"] == "track: the gates overlap"
 
 
 @pytest.mark.slow
-def test_each_worker_sees_its_gpu(tmp_path, monkeypatch):
+def test_each_worker_sees_its_gpu_and_more_workers_than_room_are_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
+    for change, message in (
+        ("executor.workers=4000", r"executor.workers is 4000, allowed: up to \d+, the cores"),
+        ("executor.gpus=3", "executor.gpus is 3.*allowed: up to 0, room on 2 GPUs"),
+    ):
+        with pytest.raises(InputError, match=message):
+            make_workers(load_sweep(sweep_file(tmp_path), [change]).file.executor, tmp_path)
     changes = ["executor.gpus=1", "executor.workers=2", "budget.trials=2"]
     sweep, directory, _ = open_small(tmp_path, *changes)
     assert run_small(sweep, directory, _wait_for_both)
@@ -186,8 +172,51 @@ def _wait_for_both(sweep, params, index, seed, folder, enough):
     return 1.0, 1.0
 
 
-def test_progress_tells_the_time_left_and_whether_a_flight_finished():
-    text = progress(Counts(3, 1, 2, 0, 13.2), before=1, seconds=20.0)
-    assert text == "3/6 trials, best 13.20 s, about 0:00:30 left"
-    text = progress(Counts(1, 1, 2, 1, None), before=1, seconds=9.0)
-    assert text == "1/5 trials, no flight finished yet, 1 failed"
+@pytest.fixture
+def cluster(monkeypatch):
+    ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'quadjax[ray]'")
+    cluster_utils = pytest.importorskip("ray.cluster_utils")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("STAND_IN_SECONDS", "6")  # of a trial in a Ray worker
+    nodes = cluster_utils.Cluster(
+        initialize_head=True,
+        head_node_args={"num_cpus": 1, "include_dashboard": False, "object_store_memory": 10**8},
+    )
+    second = nodes.add_node(num_cpus=1, object_store_memory=10**8)
+    nodes.wait_for_nodes()
+    try:
+        yield nodes, second
+    finally:
+        ray.shutdown()
+        nodes.shutdown()
+
+
+@pytest.mark.slow
+def test_a_node_is_killed_and_its_trial_resumes_on_the_other(tmp_path, cluster):
+    nodes, second = cluster
+    executor = {"kind": "ray", "address": nodes.address, "retries": 3}
+    search = {"method": "random", "pruner": "median"}
+    sweep, directory, study = open_small(
+        tmp_path, executor=executor, search=search, budget={"trials": 3}
+    )
+
+    def kill() -> None:
+        deadline = time.monotonic() + LIMIT
+        while len(list(directory.glob("trials/*/ticks"))) < 2 and time.monotonic() < deadline:
+            time.sleep(0.1)
+        nodes.remove_node(second, allow_graceful=False)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    assert run_small(sweep, directory, stand_in.measure)
+    killer.join()
+    states = [trial.state for trial in study.get_trials()]
+    assert states.count(State.FAIL) >= 1 and count(study) == {State.COMPLETE: 3}
+    assert all(trial.intermediate_values for trial in complete(study))
+    workers = sorted(len(p.read_text().split()) for p in directory.glob("trials/*/workers"))
+    assert workers[-1] >= 2  # the trial of the killed node
+    assert [p.read_text() for p in directory.glob("trials/*/ticks")] == ["10"] * 3
+
+    too_large = load_sweep(sweep_file(tmp_path), ["executor.kind=ray", "executor.gpus=2"])
+    with pytest.raises(InputError, match="no node has 1 CPUs and 2 GPUs"):
+        make_workers(too_large.file.executor, directory)
