@@ -323,7 +323,8 @@ def _refitted(
         model = refit(files, recent, setting.fit, present, folder, report, battery)
         return dataclasses.asdict(model)
 
-    return Model.from_json(_once(folder / "model.json", compute))
+    path = folder / "model.json"
+    return Model.from_json(_once(path, compute), path)
 
 
 def tuning_config(config: Config, state: Round, states: Path | None, steps: int) -> Config:

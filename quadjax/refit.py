@@ -112,10 +112,15 @@ class Model:
         return self.battery.section(config.battery or BatteryConfig())
 
     @classmethod
-    def from_json(cls, values: dict[str, Any]) -> Self:
-        """The model of ``dataclasses.asdict``."""
-        battery = values["battery"] and BatteryFit(**values["battery"])
-        return cls(**(values | {"battery": battery}))
+    def from_json(cls, values: dict[str, Any], path: Path | None = None) -> Self:
+        """The model of ``dataclasses.asdict``; errors name ``path``, the file of ``values``."""
+        try:
+            battery = values["battery"] and BatteryFit(**values["battery"])
+            return cls(**(values | {"battery": battery}))
+        except (KeyError, TypeError):
+            raise InputError(
+                f"{path}: written by another version of quadjax improve; name a new output folder"
+            ) from None
 
 
 def check_speeds(logs: Sequence[FlightLog], present: Model, scale_error: float) -> None:

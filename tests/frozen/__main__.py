@@ -24,9 +24,10 @@ FILE = Path(__file__).parent / "numbers.json"
 
 def machine() -> dict[str, str]:
     """What decides the last bits: the processor and the compiler."""
-    lines = Path("/proc/cpuinfo").read_text().splitlines()
-    model = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return {"processor": model, "jax": jax.__version__}
+    lines = [line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines()]
+    values = {key.strip(): value.strip() for key, _, value in lines}
+    name, family, model = (values[key] for key in ("model name", "cpu family", "model"))
+    return {"processor": f"{name}, family {family}, model {model}", "jax": jax.__version__}
 
 
 def compute(part: str) -> dict[str, Record]:

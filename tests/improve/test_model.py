@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -72,6 +73,11 @@ def test_logs_without_commanded_speeds_have_no_error_of_the_speeds(logs, tmp_pat
     found = refit(bare, bare, FIT, Model.of(race()), tmp_path / "fit")
     assert set(found.before) == set(found.after) == set(AXES) and found.battery is None
     assert Model.from_json(json.loads(json.dumps(dataclasses.asdict(found)))) == found
+
+
+def test_a_model_of_an_earlier_layout_is_refused():
+    with pytest.raises(InputError, match=r"model\.json: written by another version"):
+        Model.from_json({"model": {}, "battery": None}, Path("model.json"))
 
 
 def test_refusals():
