@@ -1,8 +1,7 @@
-"""The C runtime, whatever the policy: warnings, bits, self-tests, mutated words, proofs."""
+"""The C runtime, whatever the policy: warnings, bits, self-tests, mutated words."""
 
 import ctypes
 import functools
-import re
 import shutil
 import subprocess
 import zlib
@@ -16,7 +15,6 @@ from quadjax.export.cases import check_vectors, hostile_vectors
 from quadjax.export.estimator_tables import make_estimator
 from quadjax.export.integers import quantize
 from quadjax.export.read import unpack
-from quadjax.export.render import sizes_header
 from quadjax.export.targets import RUNTIME, TARGETS
 from quadjax.export.verify.build import BUILDS, OnBoard, Sources, load_library
 from quadjax.export.verify.result import Skipped
@@ -375,102 +373,3 @@ def test_python_accepts_what_the_loader_accepts(kind, data, tmp_path):
         except InputError:
             fine = False
         assert fine == (errors[number] == 0), (edits[number], errors[number])
-
-
-# ---- Frama-C -------------------------------------------------------------------------------------
-
-EVA = "-machdep gcc_x86_32 -eva -eva-slevel 40000 -warn-special-float none".split()
-EVA_MAIN = """
-#include "__fc_builtin.h"
-#include "qj_load.c"
-#include "qj_pilot.h"
-#include "words.h"
-static float any_float(void) {
-  union { float value; unsigned bits; } pun;
-  pun.bits = Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU);
-  return pun.value;
-}
-static uint32_t any_unsigned(void) { return Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU); }
-static int32_t any_integer(void) { return Frama_C_interval(-2147483647 - 1, 2147483647); }
-static int64_t any_long(int64_t size) { return Frama_C_long_long_interval(-size, size); }
-static qj_pilot pilot;
-void eva_main(void);
-void eva_main(void) {
-  qj_policy *const policy = &pilot.policy;
-  qj_vehicle vehicle;
-  float command[QJ_COMMANDS];
-  float *const numbers = (float *)&vehicle;
-  read_header(policy, words);
-  const qj_error error = find_tables(policy, words, sizeof(words) / 4U - 1U);
-  /*@ assert error == QJ_OK; */
-  policy->history = HISTORY;
-  for (uint32_t i = 1U; i < sizeof(vehicle) / 4U; ++i) { numbers[i] = any_float(); }
-  vehicle.time_us = any_unsigned();
-  for (uint32_t i = 0U; i < QJ_MAX_HISTORY; ++i) { pilot.race.history[i] = any_integer(); }
-  for (uint32_t i = 0U; i < 3U; ++i) { pilot.race.previous[i] = any_integer(); }
-  for (uint32_t i = 0U; i < 6U; ++i) {
-    pilot.estimator.s1[i] = any_long(INT64_C(1) << 47);
-    pilot.estimator.s2[i] = any_long(INT64_C(1) << 47);
-  }
-  for (uint32_t i = 0U; i < QJ_COMMANDS; ++i) {
-    pilot.command[i] = any_float();
-  }
-  pilot.race.target = any_unsigned();
-  pilot.race.next = any_unsigned();
-  pilot.race.filled = any_unsigned();
-  pilot.race.passed = any_unsigned();
-  pilot.race.missed = any_unsigned();
-  pilot.usable = 1U;
-  pilot.racing = any_unsigned();
-  pilot.every_call = any_unsigned();
-  pilot.own_estimator = ESTIMATOR;
-  pilot.period_us = policy->period_ns / 1000U;
-  pilot.step_us = any_unsigned();
-  pilot.state_us = any_unsigned();
-  pilot.lost = any_unsigned();
-  pilot.lost_us = any_unsigned();
-  if (Frama_C_interval(0, 1) != 0) { qj_pilot_reset(&pilot); }
-  (void)qj_pilot_step(&pilot, any_unsigned(), &vehicle, command);
-  int32_t q[QJ_MAX_WIDTH];
-  int32_t out[QJ_COMMANDS];
-  for (uint32_t i = 0U; i < policy->inputs; ++i) { q[i] = any_integer(); }
-  qj_forward(policy, q, out, 0);
-  for (int i = 0; i < QJ_COMMANDS; ++i) {
-    /*@ assert policy->low[i] <= out[i] <= policy->high[i]; */
-  }
-}
-"""
-
-
-def eva(made, words, folder):
-    """Alarms, and whether all assertions are valid."""
-    folder.mkdir()
-    for path in RUNTIME.glob("qj*.[ch]"):
-        shutil.copy(path, folder)
-    (folder / "qj_sizes.h").write_text(sizes_header(made))
-    numbers = ", ".join(
-        str(x) if x > -(2**31) else "(-2147483647 - 1)" for x in np.frombuffer(words, "<i4")
-    )
-    (folder / "words.h").write_text(f"static const int32_t words[] = {{{numbers}}};\n")
-    (folder / "eva.c").write_text(EVA_MAIN)
-    files = ["eva.c", *(path.name for path in FILES if path.name != "qj_load.c")]
-    flags = f"-I. -DHISTORY={made.race.history}U -DESTIMATOR={int(made.estimator is not None)}U"
-    command = [need("frama-c"), *EVA, "-eva-min-loop-unroll", "130", "-main", "eva_main",
-               f"-cpp-extra-args={flags}", *files]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, cwd=folder, timeout=900)
-    alarms = re.search(r"(\d+) alarms? generated", done.stdout)
-    assert done.returncode == 0 and alarms, (done.stdout + done.stderr)[-2000:]
-    valid = re.search(r"Assertions\s+(\d+) valid\s+0 unknown\s+0 invalid", done.stdout)
-    return int(alarms[1]), bool(valid), done.stdout
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["published racing", "indi and more", "racing with a history"])
-def test_no_alarm_for_any_state_and_any_memory(name, tmp_path):
-    made = fixed(name)[1]
-    alarms, valid, text = eva(made, pack(made), tmp_path / "right")
-    assert alarms == 0 and valid, text[-3000:]
-    words = np.frombuffer(pack(made), "<i4").copy()
-    start = at_of(pack(made), "weights")
-    words[start : start + 4 * made.network.inputs : 4] = 2**31 - 1
-    assert eva(made, words.tobytes(), tmp_path / "wrong")[0] > 0
