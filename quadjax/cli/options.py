@@ -19,9 +19,8 @@ from cyclopts import Group, Parameter, Token
 
 from quadjax.core.errors import InputError, writing
 from quadjax.core.files import check_file
-from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.resources import find_policy, preset_names
-from quadjax.core.sections import FOLDER_NAME
+from quadjax.core.sections import FOLDER_NAME, MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
 
 if TYPE_CHECKING:
     from quadjax.fitting.config import LogsConfig

@@ -9,8 +9,15 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import PrivateAttr, SerializeAsAny
 
 from quadjax.core.errors import InputError
-from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
-from quadjax.core.sections import Field, FolderName, Section
+from quadjax.core.sections import (
+    MAX_GATES,
+    MAX_LAPS,
+    MAX_RUNS,
+    MAX_SEED,
+    Field,
+    FolderName,
+    Section,
+)
 from quadjax.core.yaml_files import to_yaml
 from quadjax.learners.ppo import PPO
 from quadjax.learners.schedules import Curriculum, Schedule

@@ -11,11 +11,10 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core import matrix, quaternion
-from quadjax.core.matrix import Mat3
+from quadjax.core import quaternion
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.trigonometry import sincos
-from quadjax.core.vectors import Vec3
+from quadjax.core.vectors import Mat3, Vec3, apply, apply_transposed
 
 
 def wrap_angle(angle: jax.Array) -> jax.Array:
@@ -58,17 +57,10 @@ def attitude(euler: Vec3 | Quaternion) -> Attitude | QuaternionAttitude:
     return Attitude(*sincos(euler.x), *sincos(euler.y), *sincos(euler.z))
 
 
-def rotation_matrix(euler: Vec3) -> jax.Array:
-    """Body-to-world rotation ``Rz(psi) Ry(theta) Rx(phi)``, (3, 3), of Euler angles, rad."""
-    a = attitude(euler)
-    columns = [body_to_world(a, Vec3.of(unit)).array() for unit in jnp.eye(3)]
-    return jnp.stack(columns, axis=-1)
-
-
 def body_to_world(a: Attitude | QuaternionAttitude, vector: Vec3) -> Vec3:
     """Rotate a body-frame vector into the world frame."""
     if isinstance(a, QuaternionAttitude):
-        return matrix.apply(a.matrix, vector)
+        return apply(a.matrix, vector)
     x, y, z = vector.x, vector.y, vector.z
     # Rx, then Ry, then Rz.
     y, z = a.cos_roll * y - a.sin_roll * z, a.sin_roll * y + a.cos_roll * z
@@ -80,7 +72,7 @@ def body_to_world(a: Attitude | QuaternionAttitude, vector: Vec3) -> Vec3:
 def world_to_body(a: Attitude | QuaternionAttitude, vector: Vec3) -> Vec3:
     """Rotate a world-frame vector into the body frame."""
     if isinstance(a, QuaternionAttitude):
-        return matrix.apply_transposed(a.matrix, vector)
+        return apply_transposed(a.matrix, vector)
     x, y, z = vector.x, vector.y, vector.z
     x, y = a.cos_yaw * x + a.sin_yaw * y, -a.sin_yaw * x + a.cos_yaw * y
     x, z = a.cos_pitch * x - a.sin_pitch * z, a.sin_pitch * x + a.cos_pitch * z

@@ -10,9 +10,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.matrix import Mat3
 from quadjax.core.trigonometry import sincos
-from quadjax.core.vectors import Vec3, dot
+from quadjax.core.vectors import Mat3, Vec3, dot
 
 Arctan2 = Callable[[jax.Array, jax.Array], jax.Array]
 

@@ -31,6 +31,7 @@ import dataclasses
 import re
 import typing
 from collections.abc import Iterator, Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, Self, TypeGuard, TypeVar
 
@@ -45,6 +46,8 @@ from quadjax.core.yaml_files import Layer, Sources, Tree, merge_layers, parse_ov
 __all__ = ["Field", "Section", "build", "load_section", "model_validator"]
 
 LARGEST = 1e9  # default bound of numbers
+MAX_LAPS, MAX_GATES, MAX_RUNS = 1000, 10_000, 100_000  # of one evaluation, simulated all at once
+MAX_SEED = 2**31 - 1
 MAX_TEXT = 1000  # characters of a text
 Positive = Annotated[float, Field(gt=0, le=LARGEST)]
 NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
@@ -166,6 +169,13 @@ def load_section(
     path = find_config(path, folder)
     layers: list[Layer] = [*read_layers(path), ("overrides", parse_overrides(overrides))]
     return build(schema, *merge_layers(layers, path))
+
+
+def check_integer(name: str, value: object, least: int, most: int) -> None:
+    """Raise an ``InputError`` that names the argument unless it is an integer in the range."""
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not whole or not least <= int(value) <= most:
+        raise InputError(f"{name} is {value!r}, allowed: an integer, {least} to {most}")
 
 
 @contextlib.contextmanager

@@ -21,8 +21,17 @@ from quadjax.config.loading import load_config
 from quadjax.config.race import vehicle_model_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
-from quadjax.core.sections import Field, Section, build, load_section, model_validator
+from quadjax.core.sections import (
+    MAX_GATES,
+    MAX_LAPS,
+    MAX_RUNS,
+    MAX_SEED,
+    Field,
+    Section,
+    build,
+    load_section,
+    model_validator,
+)
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.core.yaml_files import merge_trees, parse_overrides, parse_yaml
 from quadjax.evaluation.table import COLUMNS

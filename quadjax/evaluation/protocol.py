@@ -5,7 +5,7 @@ from typing import Self, TypedDict, get_args
 
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED, check_integer
+from quadjax.core.sections import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED, check_integer
 from quadjax.evaluation.conditions import Condition, Conditions, Start
 from quadjax.race.random_track import RandomTracks
 

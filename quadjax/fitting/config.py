@@ -7,8 +7,8 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator
 
 from quadjax.core.errors import InputError
-from quadjax.core.limits import MAX_SEED
 from quadjax.core.sections import (
+    MAX_SEED,
     Field,
     FolderName,
     NonNegative,

@@ -11,8 +11,7 @@ import numpy as np
 
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError, close_match
-from quadjax.core.limits import MAX_SEED, check_integer
-from quadjax.core.sections import LARGEST, Field, Section, Unit, build
+from quadjax.core.sections import LARGEST, MAX_SEED, Field, Section, Unit, build, check_integer
 from quadjax.learners.loop import Plan, Row, plan_chunks, train_chunks
 from quadjax.learners.parallel import choose_mesh, compile_chunk, place
 from quadjax.learners.schedules import Schedule, schedule_learner

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from quadjax.core.limits import MAX_SEED
 from quadjax.core.sections import (
+    MAX_SEED,
     Field,
     NonNegative,
     Positive,

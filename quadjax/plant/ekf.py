@@ -33,9 +33,8 @@ from flax import struct
 
 from quadjax.core import quaternion
 from quadjax.core.materialize import materializing
-from quadjax.core.matrix import Mat3, apply, skew
 from quadjax.core.quaternion import Quaternion
-from quadjax.core.vectors import Vec3
+from quadjax.core.vectors import Mat3, Vec3, apply, skew
 from quadjax.plant.config import SensorsConfig
 from quadjax.plant.sensors import Fix, Measured, low_pass_delay
 
