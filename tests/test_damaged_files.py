@@ -21,7 +21,7 @@ from quadjax.fitting.formats import WRITTEN
 from quadjax.plant.config import load_plant_config
 from quadjax.policy.network_files import read_state_dict
 from quadjax.sweeps.sweep import load_sweep
-from quadjax.training.metrics import read_metrics
+from quadjax.training.result import read_metrics
 from tests.policy.writers import linear, state_dict
 from tests.surface.damage import SETTINGS, damaged
 from tests.sweeps.stand_in import sweep_file

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from quadjax.policy.file import Policy
-from quadjax.training.metrics import saved_rows
+from quadjax.training.result import saved_rows
 from tests.commands import run
 from tests.surface.short import short
 

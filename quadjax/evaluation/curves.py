@@ -14,7 +14,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.plotting import INK, MUTED, SERIES, head, new_figure, tidy
 from quadjax.evaluation.published import published_total
 from quadjax.evaluation.table import counted
-from quadjax.training.metrics import read_metrics
+from quadjax.training.result import read_metrics
 
 Metrics = Mapping[str, np.ndarray]  # column name -> (rows,)
 ACROSS = {"seconds": ("wall time (s)", 1.0), "steps": ("environment steps (millions)", 1e-6)}

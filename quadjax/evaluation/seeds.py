@@ -23,8 +23,7 @@ from quadjax.evaluation.published import first_under, published_total
 from quadjax.evaluation.result import Evaluations, joined
 from quadjax.policy.file import Policy
 from quadjax.training.folder import check_same
-from quadjax.training.metrics import read_metrics
-from quadjax.training.result import is_finished, read_summary
+from quadjax.training.result import is_finished, read_metrics, read_summary
 
 
 @dataclasses.dataclass(frozen=True)

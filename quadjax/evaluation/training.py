@@ -6,8 +6,8 @@ from quadjax.evaluation.curves import training_figure
 from quadjax.evaluation.evaluation import evaluate
 from quadjax.evaluation.published import first_under, published_total
 from quadjax.evaluation.result import Evaluation, tabulate
-from quadjax.training.advice import no_lap
 from quadjax.training.result import Run
+from quadjax.training.score import no_lap
 
 
 def write_evaluation(run: Run) -> str:

@@ -11,7 +11,7 @@ the residual that the policy was trained with, as in ``quadjax.vehicle.residual`
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import jax
 import numpy as np
@@ -19,11 +19,13 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite, read_layers, read_npz, write_npz
 from quadjax.core.resources import find_policy, policy_names
+from quadjax.core.sections import LARGEST, Field, Section, build
 from quadjax.policy import inference
 from quadjax.policy.network_files import SUFFIXES, Layers
-from quadjax.policy.release1 import layout_of_release_1
+from quadjax.race.layout import Field as LayoutField
 from quadjax.race.layout import Layout
-from quadjax.race.observations import DISTURBANCES
+from quadjax.race.observations import DISTURBANCES, Observation, Source, make_layout
+from quadjax.vehicle.registry import MODELS
 from quadjax.vehicle.residual import Residual, from_arrays, to_arrays
 
 if TYPE_CHECKING:
@@ -31,8 +33,34 @@ if TYPE_CHECKING:
 
 FORMAT, RELEASE_1 = FORMATS = ("quadjax-policy/2", "quadjax-policy/1")
 VALUE = "value_"  # prefix of the critic's arrays
-ACTIVATIONS = ("relu", "tanh")
-NOISE = ("mean", "clipped_mean")
+SOURCES: dict[str, Source] = {"true": "ground_truth", "estimated": "estimated", "none": "none"}
+Command = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Commands = Annotated[tuple[Command, ...], Field(max_length=100)]
+HalfWidth = Annotated[float, Field(ge=0, lt=1e6)]
+
+
+class Meta(Section):
+    """The metadata of a policy file that have one type in all formats."""
+
+    vehicle: str
+    activation: Literal["relu", "tanh"]
+    command_low: Commands
+    command_high: Commands
+    output: Literal["clip"] = "clip"
+    noise_on: Literal["mean", "clipped_mean"] = "mean"
+
+
+class Release1(Section):
+    """The metadata ``observation`` of the first release, in place of a layout.
+
+    ``disturbance`` has the half-widths that the observed disturbances are scaled by.
+    """
+
+    wrap_next_yaw: bool = True
+    disturbance_input: Literal["true", "estimated", "none"] = "true"
+    disturbance: dict[Literal["moment_x", "moment_y", "moment_z", "force_z"], HalfWidth] | None = (
+        Field(None, max_length=4)
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,17 +137,24 @@ class Policy:
         arrays, meta = read_npz(path, FORMATS)
         layers = tuple(read_layers(path, arrays))
         actions = layers[-1][0].shape[1]
-        low, high = (_command(path, meta, f"command_{end}", actions) for end in ("low", "high"))
-        if not np.all(low < high):
-            raise InputError(f"{path}: meta 'command_low' {low.tolist()} is not below high")
-        layout = _layout(path, meta, low, high)
+        values = {key: meta[key] for key in Meta.model_fields if key in meta}
+        stated = build(Meta, values, f"{path}: meta")
+        low, high = np.array(stated.command_low), np.array(stated.command_high)
+        if not len(low) == len(high) == actions or not np.all(low < high):
+            raise InputError(
+                f"{path}: meta: command_low is {low.tolist()} and command_high {high.tolist()}, "
+                f"expected {actions} numbers each, as many as the last layer has outputs, the "
+                "first below the second"
+            )
+        if meta["format"] == RELEASE_1:
+            layout = layout_of_release_1(path, meta, low, high)
+        else:
+            layout = Layout.from_meta(meta.get("layout"), f"{path}: meta 'layout'")
         if layers[0][0].shape[0] != layout.size:
             raise InputError(
                 f"{path}: kernel_0 takes {layers[0][0].shape[0]} inputs, but the policy observes "
                 f"{layout.size} numbers"
             )
-        if meta.get("output", "clip") != "clip":
-            raise InputError(f"{path}: meta 'output' is {meta['output']!r}, allowed: ['clip']")
         source, own = meta.get("source") or {}, meta.get("config")
         own, residual = own if isinstance(own, dict) else None, None
         if "residual" in meta:
@@ -129,13 +164,13 @@ class Policy:
         return cls(
             layers=layers,
             log_std=_log_std(path, arrays, actions),
-            vehicle=str(meta["vehicle"]),
-            activation=_choice(path, meta, "activation", ACTIVATIONS),
+            vehicle=stated.vehicle,
+            activation=stated.activation,
             command_low=low,
             command_high=high,
             layout=layout,
             source=source if isinstance(source, dict) else {"source": source},
-            noise_on=_choice(path, {"noise_on": "mean"} | meta, "noise_on", NOISE),
+            noise_on=stated.noise_on,
             value=_value(path, arrays, layout.size),
             config=own,
             residual=residual,
@@ -203,12 +238,36 @@ class Policy:
         return jax.numpy.clip(inference.act_sampled(own, observation, noise), -1, 1)
 
 
-def _layout(path: Path | str, meta: dict[str, Any], low: np.ndarray, high: np.ndarray) -> Layout:
-    if not isinstance(meta.get("vehicle"), str):
-        raise InputError(f"{path}: meta 'vehicle' is {meta.get('vehicle')!r}, expected a name")
-    if meta["format"] == RELEASE_1:
-        return layout_of_release_1(path, meta, low, high)
-    return Layout.from_meta(meta.get("layout"), f"{path}: meta 'layout'")
+def layout_of_release_1(
+    path: Path | str, meta: dict[str, Any], low: np.ndarray, high: np.ndarray
+) -> Layout:
+    """The layout of a file of the first release.
+
+    Args:
+        path: the file, for messages.
+        meta: with ``vehicle`` and ``observation``.
+        low: (4,) lowest command; the actuators are observed over the range of the commands.
+        high: (4,)
+
+    Raises:
+        InputError: an unknown vehicle or an invalid observation.
+    """
+    if meta["vehicle"] not in MODELS:
+        raise InputError(f"{path}: meta: vehicle is {meta['vehicle']!r}, allowed: {list(MODELS)}")
+    model = MODELS[meta["vehicle"]]
+    seen = build(Release1, meta.get("observation") or {}, f"{path}: meta", "observation.")
+    actuators = tuple(zip(low.tolist(), high.tolist(), strict=True))[-model.actuators.size :]
+
+    def with_span(field: LayoutField) -> LayoutField:
+        span = actuators if field.name == model.actuators.name else field.span
+        if field.name in DISTURBANCES and seen.disturbance is not None:
+            half = [seen.disturbance.get(name, 0.0) for name in DISTURBANCES[field.name]]
+            span = tuple((-width, width) for width in half)
+        return dataclasses.replace(field, value=None, span=span)
+
+    source = SOURCES[seen.disturbance_input]
+    observed = Observation(disturbance=source, wrap_next_yaw=seen.wrap_next_yaw)
+    return Layout(tuple(with_span(field) for field in make_layout(model, observed).fields))
 
 
 def _log_std(path: Path | str, arrays: dict[str, np.ndarray], actions: int) -> np.ndarray:
@@ -231,22 +290,3 @@ def _value(path: Path | str, arrays: dict[str, np.ndarray], inputs: int) -> Laye
             f"{inputs} and 1"
         )
     return tuple(layers)
-
-
-def _choice(path: Path | str, meta: dict[str, Any], key: str, allowed: tuple[str, ...]) -> str:
-    if meta.get(key) not in allowed:
-        raise InputError(f"{path}: meta {key!r} is {meta.get(key)!r}, allowed: {list(allowed)}")
-    return meta[key]
-
-
-def _command(path: Path | str, meta: dict[str, Any], key: str, actions: int) -> np.ndarray:
-    try:
-        value = np.asarray(meta.get(key), np.float64)
-    except (TypeError, ValueError):
-        value = np.zeros(0)
-    if value.shape != (actions,) or not np.all(np.isfinite(value)):
-        raise InputError(
-            f"{path}: meta {key!r} is {meta.get(key)!r}, expected {actions} finite numbers, as "
-            "many as the last layer has outputs"
-        )
-    return value

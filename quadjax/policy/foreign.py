@@ -11,7 +11,8 @@ from quadjax.config.race import race_of
 from quadjax.config.schema import Config, Vehicle
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite
-from quadjax.policy.file import ACTIVATIONS, Layers, Policy
+from quadjax.core.mlp import ACTIVATIONS
+from quadjax.policy.file import Layers, Policy
 from quadjax.policy.network_files import Network, read_c_std, read_network
 from quadjax.policy.pilot import command_ranges
 from quadjax.race.layout import Layout

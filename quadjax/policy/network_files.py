@@ -292,11 +292,10 @@ def _read_arrays(path: Path | str) -> tuple[dict[str, np.ndarray], str]:
                 raise InputError(f"{path}: {name}[{index}] is {word!r:.40}, expected a number")
         arrays[name] = np.array([float(word.rstrip("fF")) for word in words], np.float64)
         factors = re.findall(r"[\[*]\s*([^\[\]*]*?)\s*(?=[\]*])", sizes)
-        numeric = all(map(str.isdecimal, factors))
-        declared = math.prod(map(int, factors)) if numeric else len(words)
-        if declared != len(words):
-            text = f"{path}: {name} has {len(words)} numbers, its declaration says {declared}"
-            raise InputError(text)
+        declared = math.prod(map(int, factors)) if all(map(str.isdecimal, factors)) else None
+        if declared not in (None, len(words)):
+            stated = f"its declaration says {declared}"
+            raise InputError(f"{path}: {name} has {len(words)} numbers, {stated}")
     if not arrays:
         raise InputError(f"{path}: no array weights_.. or {STD}, expected such as weights_fc1[]")
     return arrays, text

@@ -5,7 +5,7 @@ import dataclasses
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
@@ -25,7 +25,6 @@ from quadjax.learners.state import ActorCritic, Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.race.environment import RaceParams
 from quadjax.race.laps import Laps
-from quadjax.training.advice import FEW_STEPS, no_lap
 from quadjax.training.build import (
     build_learner,
     initial_policy,
@@ -36,10 +35,9 @@ from quadjax.training.build import (
 )
 from quadjax.training.checkpoint import Checkpoints, Position
 from quadjax.training.folder import FILES, KIND, prepare_folder
-from quadjax.training.metrics import MetricsFile, check_tensorboard
 from quadjax.training.progress import TrainingProgress
-from quadjax.training.result import Run, is_finished, write_summary
-from quadjax.training.score import gap, make_flights
+from quadjax.training.result import MetricsFile, Run, check_tensorboard, is_finished, write_summary
+from quadjax.training.score import FEW_STEPS, gap, make_flights, no_lap
 from quadjax.training.user_functions import check_functions, check_learner
 
 PATIENCE = 5.0  # s to wait for a compilation after Ctrl-C before the run ends without saving
@@ -150,38 +148,8 @@ def _run(
         started = time.monotonic() - position.seconds
     elif resume and display is not None:
         display.note(f"{folder}: no checkpoint to resume from, starting a new run")
-    tensorboard, every = job.config.run.tensorboard, job.config.run.checkpoint_seconds
-    metrics = MetricsFile(folder, position.steps, tensorboard)
-    latest, saved, advised = position, time.monotonic(), False
-    for latest, row, laps in _evaluated(job, chunk, position, started, fly, stop):
-        metrics.write(row)
-        if display is not None:
-            display.show(row)
-            if not advised and _needs_advice(row, job.plan.steps):
-                advised = True
-                display.note(no_lap(laps.crashes, row["steps"]))
-        if enough is not None and enough(row):
-            break
-        if time.monotonic() - saved > every and latest.steps < job.plan.steps:
-            _save(job, folder, checkpoints, latest)
-            saved = time.monotonic()
-    _save(job, folder, checkpoints, latest)
-    checkpoints.close()
-    metrics.close()
-
-
-def _evaluated(
-    job: _Job,
-    chunk: Chunk,
-    position: Position,
-    started: float,
-    fly: Callable[[ActorCritic], Laps],
-    stop: threading.Event,
-) -> Iterator[tuple[Position, Row, Laps]]:
-    """Train chunk by chunk until ``stop`` is set.
-
-    Yields each position, its row of metrics, and the flights that score it.
-    """
+    metrics = MetricsFile(folder, position.steps, job.config.run.tensorboard)
+    saved, advise_at = time.monotonic(), max(ADVISE_AFTER * job.plan.steps, FEW_STEPS)
     chunks = train_chunks(chunk, job.params, position.state, job.plan, position.steps)
     while not stop.is_set() and (progress := next(chunks, None)) is not None:
         laps = fly(progress.state.evaluated)
@@ -192,14 +160,24 @@ def _evaluated(
             "steps_per_second": progress.steps_per_second,
             "lap_total": laps.score,
             "best_lap_total": position.best_score,
+            **progress.row,
+            **gap(job.config, laps),
         }
-        yield position, row | progress.row | gap(job.config, laps), laps
-
-
-def _needs_advice(row: Row, steps: int) -> bool:
-    """Whether no lap was completed for so long that the config should be changed."""
-    late = row["steps"] >= max(ADVISE_AFTER * steps, FEW_STEPS)
-    return late and not math.isfinite(row["best_lap_total"])
+        metrics.write(row)
+        if display is not None:
+            display.show(row)
+            if progress.steps >= advise_at and not math.isfinite(position.best_score):
+                advise_at = math.inf
+                display.note(no_lap(laps.crashes, progress.steps))
+        if enough is not None and enough(row):
+            break
+        late = time.monotonic() - saved > job.config.run.checkpoint_seconds
+        if late and position.steps < job.plan.steps:
+            _save(job, folder, checkpoints, position)
+            saved = time.monotonic()
+    _save(job, folder, checkpoints, position)
+    checkpoints.close()
+    metrics.close()
 
 
 def _save(job: _Job, folder: Path, checkpoints: Checkpoints, position: Position) -> None:

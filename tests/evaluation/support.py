@@ -6,8 +6,7 @@ import numpy as np
 
 from quadjax.config.loading import load_config
 from quadjax.config.race import build_params, choices_of
-from quadjax.policy.file import Policy
-from quadjax.policy.release1 import layout_of_release_1
+from quadjax.policy.file import Policy, layout_of_release_1
 from tests.race.support import BLANK
 
 GRAVITY = 9.81

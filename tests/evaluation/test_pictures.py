@@ -12,7 +12,7 @@ from quadjax.evaluation.curves import training_figure
 from quadjax.evaluation.figures import space_figure, trajectory_figure
 from quadjax.flights.flight import Flight, Signal, motion_signals
 from quadjax.race.track import GateSection
-from quadjax.training.metrics import read_metrics
+from quadjax.training.result import read_metrics
 
 GATES = [
     GateSection(position=(2.0, 0.0, -1.5), yaw_deg=90.0),

@@ -21,9 +21,8 @@ from quadjax.export.race_tables import make_tables, state_sizes, track_ranges
 from quadjax.export.targets import TARGETS
 from quadjax.export.verify.build import Library, Sources
 from quadjax.export.words import FixedPolicy, pack
-from quadjax.policy.file import Policy
+from quadjax.policy.file import Policy, layout_of_release_1
 from quadjax.policy.pilot import command_ranges
-from quadjax.policy.release1 import layout_of_release_1
 from quadjax.race.laps import Laps
 from quadjax.race.observations import HIGHEST_RPM, fields_of
 from quadjax.training.build import build_networks, policy_of

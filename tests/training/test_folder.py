@@ -19,8 +19,7 @@ from quadjax.fitting.report import PATTERNS as FIT_FILES
 from quadjax.policy.file import Policy
 from quadjax.training.folder import FILES as TRAINING_FILES
 from quadjax.training.folder import check_same, prepare_folder
-from quadjax.training.metrics import MetricsFile, saved_rows
-from quadjax.training.result import SUMMARY, is_finished, read_summary
+from quadjax.training.result import SUMMARY, MetricsFile, is_finished, read_summary, saved_rows
 from tests.commands import run
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK

@@ -6,8 +6,8 @@ from rich.console import Console
 
 from quadjax.race.laps import OUT_OF_TIME
 from quadjax.race.rules import TERMINATIONS
-from quadjax.training.advice import CHANGES, no_lap
 from quadjax.training.progress import TrainingProgress, describe
+from quadjax.training.score import CHANGES, no_lap
 
 ROW = {
     "steps": 12_300_000,
