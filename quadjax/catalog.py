@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.config.loading import load_config, vehicle_configs
+from quadjax.config.loading import generated, load_config, vehicle_configs
 from quadjax.config.reference import commented_yaml
 from quadjax.config.reference import describe as keys_of
 from quadjax.config.schema import Config
-from quadjax.config.tracks import generated
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import write_text
 from quadjax.core.resources import find_policy, policy_names, preset_names

@@ -1,12 +1,11 @@
 """Loading a training config: the merge of its layers, its sections, and one check."""
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from quadjax.config.checks import check
-from quadjax.config.code import refuse_code
 from quadjax.config.layers import (
     OVERRIDES,
     config_layers,
@@ -14,16 +13,17 @@ from quadjax.config.layers import (
     without_replaced,
 )
 from quadjax.config.scales import in_plain_units
-from quadjax.config.schema import Config, Vehicle
-from quadjax.config.tracks import generated, with_opening
-from quadjax.core.errors import InputError, close_match
+from quadjax.config.schema import Config, Rules, Vehicle
+from quadjax.core.errors import InputError, close_match, prefixed
 from quadjax.core.imports import load_object
 from quadjax.core.resources import find_config, find_file
 from quadjax.core.sections import BadValue, build, one_line_errors, refuse
-from quadjax.core.yaml_files import Sources, Tree, merge_layers, override
+from quadjax.core.yaml_files import Sources, Tree, merge_layers, merge_trees, override
 from quadjax.learners.ppo import PPO
 from quadjax.learners.section import LearnerSection
 from quadjax.learners.shac import SHAC
+from quadjax.race.random_track import RandomTrack, generate
+from quadjax.race.track import TrackSection
 from quadjax.vehicle.registry import MODELS
 from quadjax.vehicle.registry import model as vehicle_model
 from quadjax.vehicle.vehicle_file import for_each_rotor
@@ -37,6 +37,13 @@ RETIRED: dict[str, tuple[float, ...] | None] = {
     "randomization.tracks.split_s": (0.0,),
     "run.shards": None,
 }
+CODE = (  # keys whose values may be module:OBJECT
+    ("vehicle", "model"),
+    ("learner", "algorithm"),
+    ("observation", "extra"),
+    ("reward", "terms"),
+    ("rules", "extra"),
+)
 
 
 def load_config(
@@ -71,7 +78,7 @@ def load_config(
     for key, file in list(sources.files.items()):
         if key.startswith("vehicle.models."):  # where constants are until the model is known
             sources.files.setdefault(f"vehicle.constants.{key.rpartition('.')[2]}", file)
-    tree = with_opening(generated(tree, sources), sources)
+    tree = _with_opening(generated(tree, sources), sources)
     if code is not None:
         refuse_code(tree, str(path), code)
     return config_of(tree, sources)
@@ -97,6 +104,54 @@ def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
         raise InputError(f"{file}: has {', '.join(models) or 'no model'}; name its VehicleModel")
     only = [override("vehicle.file", str(path)), "vehicle.width=0"]  # without a check of gates
     return [load_config("e2e", [*only, override("vehicle.model", name)]) for name in names]
+
+
+def generated(tree: Tree, sources: Sources) -> Tree:
+    """A tree with the gates of the random track that it asks for, and its rules below those of it.
+
+    Raises:
+        InputError: settings that are not allowed, or for which no track was found.
+    """
+    track = tree.get("track")
+    if not isinstance(track, dict) or track.get("generate") is None:
+        return tree
+    path = sources.of("track.generate")
+    for key in ("gates", "start", "closed"):
+        if key in track:
+            raise InputError(f"{path}: track.{key} has no effect with track.generate")
+    settings = build(RandomTrack, track["generate"], sources, "track.generate.")
+    with prefixed(path):
+        values = generate(settings)
+    name = track.get("name") or f"random_{settings.gates}_{settings.seed}"
+    track = {**track, "generate": None, "name": name, "gates": values["gates"]}
+    rules = merge_trees(values["rules"], tree.get("rules") or {})
+    return {**tree, "track": track, "rules": rules}
+
+
+def _with_opening(tree: Tree, sources: Sources) -> Tree:
+    """A tree whose gates have the size ``track.opening``, if there is one.
+
+    Frames around gates of one size keep their outer edges.
+    """
+    section = tree.get("track")
+    if not isinstance(section, dict) or section.get("opening") is None:
+        return tree
+    track = build(TrackSection, section, sources, "track.")
+    rules = build(Rules, tree.get("rules") or {}, sources, "rules.")
+    opening, frame = track.opening or 0.0, rules.gate_frame
+    gates = [{**gate, "size": [opening, opening]} for gate in section["gates"]]
+    tree = {**tree, "track": {**section, "gates": gates, "opening": None}}
+    if frame == 0.0:
+        return tree
+    sizes = {side for gate in track.gates for side in gate.size}
+    wider = frame + 0.5 * (min(sizes) - opening)
+    if len(sizes) > 1 or wider < 0.0:
+        allowed = f"at most {min(sizes) + 2.0 * frame:g}, the outer edge of the frames"
+        if len(sizes) > 1:
+            allowed = f"null with rules.gate_frame {frame:g} around gates of sizes {sorted(sizes)}"
+        with one_line_errors(sources):
+            refuse("track.opening", opening, allowed)
+    return {**tree, "rules": {**(tree.get("rules") or {}), "gate_frame": wider}}
 
 
 def config_of(tree: Tree, source: str | Sources) -> Config:
@@ -139,6 +194,45 @@ def stored_config(tree: Tree, file: str) -> Config:
     source = f"{file}: config"
     refuse_code(tree, source)
     return config_of(tree, source)
+
+
+def refuse_code(tree: Mapping[str, Any], source: str, allowed: Collection[str] = ()) -> None:
+    """Reject the tree of a config that names code.
+
+    Code is imported from the command line and from a config that the user names, never from a
+    file that the program finds: in a policy file, in the folder of a run or of an export.
+
+    Args:
+        tree: of the config.
+        source: the file, for messages.
+        allowed: names ``module:object`` that the user has given elsewhere.
+
+    Raises:
+        InputError: with the first key that names code.
+    """
+    for key, name in _named_code(tree):
+        if name in allowed:
+            continue
+        raise InputError(
+            f"{source}: {key} is {name!r:.80}; code that this file names is not imported, name "
+            "the config of its race (config=CONFIG)"
+        )
+
+
+def _named_code(tree: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Keys and values of a config's tree that are ``module:object``."""
+    for section, key in CODE:
+        values = tree.get(section)
+        value = values.get(key) if isinstance(values, dict) else None
+        names = [value] if isinstance(value, str) else value or ()
+        for name in names if isinstance(names, (list, tuple, dict)) else ():
+            if isinstance(name, str) and ":" in name:
+                yield f"{section}.{key}", name
+
+
+def names_of_code(config: Config) -> list[str]:
+    """The objects ``module:OBJECT`` of the user's own modules that a config names."""
+    return [name for _, name in _named_code(config.model_dump(by_alias=True))]
 
 
 def _without_retired(tree: Tree, prefix: str = "") -> Tree:

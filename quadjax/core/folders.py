@@ -79,11 +79,11 @@ def check_kind(folder: Path | str, kind: str, files: Iterable[str] = ()) -> None
     present = kind_of(folder)
     if present not in (None, kind):
         raise InputError(f"{folder} holds {_a(present)}, not {_a(kind)}: choose another name")
-    if present is None and (paths := _matching(folder, files)):
-        names = ", ".join(path.name for path in paths[:3]) + (", .." if paths[3:] else "")
+    names = [path.name for pattern in files for path in sorted(folder.glob(pattern))]
+    if present is None and names:
         raise InputError(
-            f"{folder} holds no {kind}, but {names}: choose another folder, or replace these files "
-            "(overwrite=True)"
+            f"{folder} holds no {kind}, but {', '.join(names[:3])}{', ..' * bool(names[3:])}: "
+            "choose another folder, or replace these files (overwrite=True)"
         )
 
 
@@ -103,18 +103,12 @@ def kind_of(folder: Path | str) -> str | None:
 
 
 def _a(kind: str | None) -> str:
-    if kind == "logs":
-        return kind
-    return f"{'an' if str(kind)[0] in 'aeiou' else 'a'} {kind}"
-
-
-def _matching(folder: Path, patterns: Iterable[str]) -> list[Path]:
-    return [path for pattern in patterns for path in sorted(folder.glob(pattern))]
+    return "logs" if kind == "logs" else f"{'an' if str(kind)[0] in 'aeiou' else 'a'} {kind}"
 
 
 def remove_files(folder: Path | str, patterns: Iterable[str]) -> None:
     """Remove the files and subfolders that match a pattern; everything else stays."""
-    for path in _matching(Path(folder), patterns):
+    for path in [path for pattern in patterns for path in Path(folder).glob(pattern)]:
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:
@@ -137,11 +131,9 @@ def results(
         InputError: also where there are earlier results, before the block.
     """
     with claim(folder, kind, files, overwrite):
-        if _matching(Path(folder), files) and not overwrite:
-            raise InputError(
-                f"{folder} holds {_a(kind)} already: replace it (overwrite=True) or choose another "
-                "name"
-            )
+        if not overwrite and any(any(Path(folder).glob(pattern)) for pattern in files):
+            either = "replace it (overwrite=True) or choose another name"
+            raise InputError(f"{folder} holds {_a(kind)} already: {either}")
         with replacement(folder, files) as new:
             yield new
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.config.code import names_of_code
-from quadjax.config.loading import load_config
+from quadjax.config.loading import load_config, names_of_code
 from quadjax.config.schema import Config
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.files import write_json

@@ -293,9 +293,8 @@ def _read_arrays(path: Path | str) -> tuple[dict[str, np.ndarray], str]:
         arrays[name] = np.array([float(word.rstrip("fF")) for word in words], np.float64)
         factors = re.findall(r"[\[*]\s*([^\[\]*]*?)\s*(?=[\]*])", sizes)
         declared = math.prod(map(int, factors)) if all(map(str.isdecimal, factors)) else None
-        if declared not in (None, len(words)):
-            stated = f"its declaration says {declared}"
-            raise InputError(f"{path}: {name} has {len(words)} numbers, {stated}")
+        if declared not in (None, count := len(words)):
+            raise InputError(f"{path}: {name} has {count} numbers, declared are {declared}")
     if not arrays:
         raise InputError(f"{path}: no array weights_.. or {STD}, expected such as weights_fc1[]")
     return arrays, text

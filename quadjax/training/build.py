@@ -25,7 +25,7 @@ from quadjax.race.environment import (
     make_environment,
     with_critic_constants,
 )
-from quadjax.training.starts import read_starts
+from quadjax.training.inputs import read_starts
 from quadjax.vehicle.registry import model as vehicle_model
 from quadjax.vehicle.residual import is_shipped, read_residual
 

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from quadjax.config.code import names_of_code
-from quadjax.config.loading import load_config
+from quadjax.config.loading import load_config, names_of_code
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, write_bytes, write_text

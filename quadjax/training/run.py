@@ -35,10 +35,10 @@ from quadjax.training.build import (
 )
 from quadjax.training.checkpoint import Checkpoints, Position
 from quadjax.training.folder import FILES, KIND, prepare_folder
+from quadjax.training.inputs import check_functions, check_learner
 from quadjax.training.progress import TrainingProgress
 from quadjax.training.result import MetricsFile, Run, check_tensorboard, is_finished, write_summary
 from quadjax.training.score import FEW_STEPS, gap, make_flights, no_lap
-from quadjax.training.user_functions import check_functions, check_learner
 
 PATIENCE = 5.0  # s to wait for a compilation after Ctrl-C before the run ends without saving
 POLL = 0.2  # s

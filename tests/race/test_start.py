@@ -15,7 +15,7 @@ from quadjax.flights.flight import MOTION
 from quadjax.race.episode import draw_constants
 from quadjax.race.track import inside_turn
 from quadjax.training.build import training_params
-from quadjax.training.starts import states_of
+from quadjax.training.inputs import states_of
 from quadjax.vehicle.registry import MODELS
 from tests import reference as ref
 from tests.convert import rows_of
