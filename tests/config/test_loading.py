@@ -186,48 +186,53 @@ def test_the_other_model_of_a_saved_config(tmp_path):
         config.vehicle.with_model("boat")
 
 
-def test_vehicle_files_are_checked(tmp_path):
-    text = (CONFIGS / "vehicles" / "bebop1.yaml").read_text()
-    path, config = tmp_path / "mine.yaml", tmp_path / "c.yaml"
-    config.write_text("vehicle: {file: mine.yaml}\n")
-    path.write_text("".join(x for x in text.splitlines(True) if not x.startswith("  k_w")))
-    assert "vehicle.constants.k_w is missing" in refusal(config)
-    path.write_text(text + "colour: red\n")
-    assert "mine.yaml: colour is 'red'" in refusal(config)
-    path.write_text("motor: 3\n")
-    assert "mine.yaml: motor is 3" in refusal(config)
-    config.write_text("track: {file: hall.yaml}\n")
-    assert "'hall.yaml': no such file" in refusal(config)
-    (tmp_path / "hall.yaml").write_text("gate: []\n")
-    assert "unknown key gate; did you mean gates?" in refusal(config)
+BEBOP = (CONFIGS / "vehicles" / "bebop1.yaml").read_text()
+WITHOUT_K_W = "".join(line for line in BEBOP.splitlines(True) if not line.startswith("  k_w"))
+DRONE, HALL = "vehicle: {file: mine.yaml}", "track: {file: hall.yaml}"
+FILES = [  # of a config, of the file that it names, and the message
+    (DRONE, {"mine.yaml": WITHOUT_K_W}, "vehicle.constants.k_w is missing"),
+    (DRONE, {"mine.yaml": BEBOP + "colour: red\n"}, "mine.yaml: colour is 'red'"),
+    (DRONE, {"mine.yaml": "motor: 3\n"}, "mine.yaml: motor is 3"),
+    (HALL, {}, "c.yaml: track.file: 'hall.yaml': no such file"),
+    (HALL, {"hall.yaml": "gate: []\n"}, "unknown key gate; did you mean gates?"),
+    ("base: par", {}, "c.yaml: base: 'par': no such file"),
+    ("# nothing", {}, "c.yaml: empty; write at least the preset to start from"),
+]
 
 
-def test_names_that_are_no_config(tmp_path):
+@pytest.mark.parametrize(("text", "files", "says"), FILES, ids=[says for *_, says in FILES])
+def test_files_of_a_config_are_checked(tmp_path, text, files, says):
+    for name, content in {"c.yaml": text, **files}.items():
+        (tmp_path / name).write_text(content)
+    assert says in refusal(tmp_path / "c.yaml")
+
+
+def test_names_that_are_no_config():
     assert "no such preset or file; did you mean e2e_race?" in refusal("e2e_rase")
     assert "no such file" in refusal("none.yaml")
-    (tmp_path / "c.yaml").write_text("# nothing\n")
-    assert "empty; write at least the preset to start from" in refusal(tmp_path / "c.yaml")
 
 
-@pytest.mark.parametrize(
-    "text, says",
-    [
-        ("vehicle: {file: nuld}", "vehicle.file: 'nuld': no such file"),
-        ("base: par", "base: 'par': no such file"),
-    ],
-)
-def test_a_file_or_section_that_a_config_names_wrongly(tmp_path, text, says):
-    path = tmp_path / "c.yaml"
-    path.write_text(text if text.startswith("base") else f"base: e2e\n{text}\n")
-    message = refusal(path)
-    assert message.startswith(str(path)) and says in message
+def test_an_error_names_the_file_that_sets_the_key(tmp_path):
+    track, drone, base = tmp_path / "t.yaml", tmp_path / "d.yaml", tmp_path / "base.yaml"
+    gates = "gates: [{position: [2, -1.5, -1.5], yaw_deg: %s}, {position: [2, 1.5, -1.5]}]"
+    track.write_text(gates % "abc")
+    drone.write_text((CONFIGS / "vehicles/bebop1.yaml").read_text().replace("k_w: ", "k_w: -"))
+    base.write_text(f"base: {BLANK}\nreward: {{gate: much}}\n")
+    assert refusal(BLANK, f"track={track}").startswith(f"{track}: track.gates[0].yaw_deg is 'abc'")
+    assert refusal(BLANK, f"vehicle={drone}").startswith(f"{drone}: vehicle.constants.k_w is -")
+    assert refusal(base).startswith(f"{base}: reward.gate is 'much'")
+    assert refusal(base, "reward.gate=more").startswith("overrides: reward.gate is 'more'")
+    base.write_text(f"base: {BLANK}\nseed: -1\n")
+    assert refusal(base, "reward.gate=2").startswith(f"{base}: seed is -1, allowed")
+    with pytest.raises(InputError, match=r"^overrides: logs.files is 3, allowed"):
+        load_fit_config("standin", ["logs.files=3"])
+    track.write_text(gates % "90" + "\nrules: {position_limit: 1}")
+    assert refusal(BLANK, f"track={track}").startswith(f"{track}: track.gates[0].position is")
 
 
 REFUSED = [
     ("learner.algorithm=sac", "learner.algorithm is 'sac', allowed: ppo, shac or module:Class"),
     ("vehicle.model=boat", "vehicle.model is 'boat', allowed: motor, rate"),
-    ("vehicle.models={rate: 5}", "vehicle.models.rate is 5, allowed: a mapping"),
-    ("vehicle.constants.k_w=heavy", "vehicle.constants.k_w is 'heavy', allowed: a number"),
     ("vehicle.constants.k_w=0", "vehicle.constants.k_w is 0.0, allowed: a positive number"),
     ("vehicle.constants.k_w=2e-8", "vehicle.constants give a thrust of"),
     ("vehicle.constants.k_w=1", "give a thrust of 3.67e+06 to 4.93e+07 times the weight, allowed"),
@@ -278,74 +283,42 @@ REFUSED = [
     ("schedules.vehicle.residual_gain={linear: [0, value]}", "vehicle.residual_gain has no effect"),
     ("rules.bounds=[[9, -9], [-9, 9], [-6, 0]]", "allowed: [lowest, highest] for each of x, y"),
     ("vehicle=bebp1", "overrides: vehicle.file: 'bebp1': no such file in"),
+    (["training_limits.gate_inflation=0.1", "reward.gate_offset=0"], "gate_inflation is 0.1"),
+    (["learner.shuffle_block=7"], "shuffle_block is 7, allowed: a divisor of 64 (rollout"),
+    (
+        ["learner.algorithm=shac", "learner.num_envs=6"],
+        "critic_minibatches is 4, allowed: a di",
+    ),
+    (
+        ["vehicle=5inch", "randomization={population: all_racing_drones, lag: 0.1}"],
+        "allowed: null with fractions (here 0.1",
+    ),
+    (["vehicle.model=rate", "battery.charge=[0.2, 1.0]"], ", allowed: null with"),
+    (
+        ["vehicle.model=rate", "vehicle.residual=file.npz"],
+        "vehicle.residual is 'file.npz', allowed: null with vehicle.model=rate",
+    ),
+    ([OWN_GROUP], "OWN_GROUP', allowed: a model whose groups are among gravity, inert"),
+    (["vehicle.model=rate", "disturbance.moment_bias=[0.01,0,0]"], "disturbance.moment_bias"),
+    (["vehicle.model=rate", "observation.disturbance=estimated"], "observation.disturbance is"),
+    (["vehicle.model=rate", "vehicle.constants.thrust_max=9"], "give a thrust of 0 to 0.917"),
+    (["vehicle.model=rate", "vehicle.constants.d_x=-1"], "d_x is -1.0, allowed: at least 0"),
+    (
+        ["run.steps=1000000", "schedules.reward.gate={linear: [0, value], until: 2e6}"],
+        "schedules.reward.gate.until is '2e+06 steps', allowed: at most run.steps 10000",
+    ),
+    (
+        ["schedules.reward.gate={linear: [0, value], from: 0.5, until: 0.4}"],
+        "schedules.reward.gate.from is 0.5, allowed: before until 0.4",
+    ),
 ]
 
 
-def test_a_key_that_no_longer_exists_is_read_where_it_had_no_effect():
-    config = load_config("e2e")
-    stored = config.model_dump(mode="json", by_alias=True)
-    stored["learner"]["revisit"] = 0.0
-    assert config_of(stored, "policy") == config
-
-
-def test_an_error_names_the_file_that_sets_the_key(tmp_path):
-    track, drone, base = tmp_path / "t.yaml", tmp_path / "d.yaml", tmp_path / "base.yaml"
-    gates = "gates: [{position: [2, -1.5, -1.5], yaw_deg: %s}, {position: [2, 1.5, -1.5]}]"
-    track.write_text(gates % "abc")
-    drone.write_text((CONFIGS / "vehicles/bebop1.yaml").read_text().replace("k_w: ", "k_w: -"))
-    base.write_text(f"base: {BLANK}\nreward: {{gate: much}}\n")
-    assert refusal(BLANK, f"track={track}").startswith(f"{track}: track.gates[0].yaw_deg is 'abc'")
-    assert refusal(BLANK, f"vehicle={drone}").startswith(f"{drone}: vehicle.constants.k_w is -")
-    assert refusal(base).startswith(f"{base}: reward.gate is 'much'")
-    assert refusal(base, "reward.gate=more").startswith("overrides: reward.gate is 'more'")
-    base.write_text(f"base: {BLANK}\nseed: -1\n")
-    assert refusal(base, "reward.gate=2").startswith(f"{base}: seed is -1, allowed")
-    with pytest.raises(InputError, match=r"^overrides: logs.files is 3, allowed"):
-        load_fit_config("standin", ["logs.files=3"])
-    track.write_text(gates % "90" + "\nrules: {position_limit: 1}")
-    assert refusal(BLANK, f"track={track}").startswith(f"{track}: track.gates[0].position is")
-
-
-@pytest.mark.parametrize(("override", "message"), REFUSED, ids=[word for word, _ in REFUSED])
-def test_refused(override, message):
-    assert message in refusal(BLANK, override)
-
-
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        (["training_limits.gate_inflation=0.1", "reward.gate_offset=0"], "gate_inflation is 0.1"),
-        (["learner.shuffle_block=7"], "shuffle_block is 7, allowed: a divisor of 64 (rollout"),
-        (
-            ["learner.algorithm=shac", "learner.num_envs=6"],
-            "critic_minibatches is 4, allowed: a di",
-        ),
-        (
-            ["vehicle=5inch", "randomization={population: all_racing_drones, lag: 0.1}"],
-            "allowed: null with fractions (here 0.1",
-        ),
-        (["vehicle.model=rate", "battery.charge=[0.2, 1.0]"], ", allowed: null with"),
-        (
-            ["vehicle.model=rate", "vehicle.residual=file.npz"],
-            "vehicle.residual is 'file.npz', allowed: null with vehicle.model=rate",
-        ),
-        ([OWN_GROUP], "OWN_GROUP', allowed: a model whose groups are among gravity, inert"),
-        (["vehicle.model=rate", "disturbance.moment_bias=[0.01,0,0]"], "disturbance.moment_bias"),
-        (["vehicle.model=rate", "observation.disturbance=estimated"], "observation.disturbance is"),
-        (["vehicle.model=rate", "vehicle.constants.thrust_max=9"], "give a thrust of 0 to 0.917"),
-        (["vehicle.model=rate", "vehicle.constants.d_x=-1"], "d_x is -1.0, allowed: at least 0"),
-        (
-            ["run.steps=1000000", "schedules.reward.gate={linear: [0, value], until: 2e6}"],
-            "schedules.reward.gate.until is '2e+06 steps', allowed: at most run.steps 10000",
-        ),
-        (
-            ["schedules.reward.gate={linear: [0, value], from: 0.5, until: 0.4}"],
-            "schedules.reward.gate.from is 0.5, allowed: before until 0.4",
-        ),
-    ],
-)
-def test_refused_together(overrides, message):
-    assert message in refusal(BLANK, *overrides)
+@pytest.mark.parametrize(("overrides", "message"), REFUSED, ids=[says for _, says in REFUSED])
+def test_refused(overrides, message):
+    """One override, or those of a list together."""
+    words = [overrides] if isinstance(overrides, str) else overrides
+    assert message in refusal(BLANK, *words)
 
 
 def test_a_schedule_without_effect_says_how_to_remove_it():
@@ -446,14 +419,12 @@ def test_vehicle_file_with_a_model_and_constants_of_rotors(tmp_path):
 def test_errors_in_vehicle_files(tmp_path, old, new, message):
     assert old in ROTOR_FILE
     (tmp_path / "mine.yaml").write_text(ROTOR_FILE.replace(old, new))
-    with pytest.raises(InputError) as error:
-        load_config("e2e", [f"vehicle={tmp_path / 'mine.yaml'}"])
-    assert message in str(error.value)
+    assert message in refusal("e2e", f"vehicle={tmp_path / 'mine.yaml'}")
 
 
 def test_a_drone_without_a_rate_level_is_refused_where_body_rates_are_commanded():
-    with pytest.raises(InputError, match="5inch.yaml has the model racing, the config the model r"):
-        load_config("indi_race", ["vehicle=5inch"])
+    expected = "5inch.yaml has the model racing, the config the model rate"
+    assert expected in refusal("indi_race", "vehicle=5inch")
     own = load_config("indi_race", ["vehicle=5inch", "vehicle.model=racing"])
     assert own.vehicle.model == "racing"
 
@@ -475,13 +446,11 @@ def test_one_opening_for_all_gates():
 
 def test_a_former_key_is_read_from_a_file_and_refused_as_an_override(tmp_path):
     path = tmp_path / "mine.yaml"
-    path.write_text("base: e2e\nrun: {shards: 4}\n")
+    path.write_text("base: e2e\nrun: {shards: 4}\nlearner: {revisit: 0}\n")
     assert load_config(path).learner == load_config("e2e").learner
-    with pytest.raises(InputError, match="unknown key run.shards"):
-        load_config("e2e", ["run.shards=4"])
+    assert "unknown key run.shards" in refusal("e2e", "run.shards=4")
 
 
 def test_a_part_for_another_learner_names_the_algorithm():
-    expected = r"schedules with learner\.algorithm=ppo: learner\.std: unknown key"
-    with pytest.raises(InputError, match=expected):
-        load_config("e2e_ppo", ["+gate_edge"])
+    expected = "schedules with learner.algorithm=ppo: learner.std: unknown key"
+    assert expected in refusal("e2e_ppo", "+gate_edge")
