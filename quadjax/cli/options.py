@@ -7,7 +7,6 @@ an argument becomes a value, which values are allowed, and what the help prints.
 import contextvars
 import dataclasses
 import functools
-import inspect
 import math
 import os
 import re
@@ -47,22 +46,6 @@ def refuse(why: str, *names: str) -> None:
 def refuse_others(why: str, *names: str) -> None:
     """Refuse all options on the command line but those that have an effect; see ``refuse``."""
     refuse(why, *sorted(SET_OPTIONS.get() - {*names, "config", "overrides"}))
-
-
-def options_of(
-    function: Callable[..., object], values: Mapping[str, Any], why: str, *others: str
-) -> dict[str, Any]:
-    """The options on the command line that a function takes.
-
-    Args:
-        function: a function whose parameter names are option names.
-        values: of the options.
-        why: see ``refuse``.
-        others: options that have an effect, too; all but these and the function's are refused.
-    """
-    taken = set(inspect.signature(function).parameters)
-    refuse_others(why, *taken, *others)
-    return {name: values[name] for name in SET_OPTIONS.get() & taken}
 
 
 def exclude(*names: str) -> None:

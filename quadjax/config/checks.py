@@ -33,7 +33,7 @@ def check(config: Config) -> None:
     _check_effects(config)
     _check_observation(config)
     last = at_end(config)
-    for race in (_with_scheduled(config, 0), last):
+    for race in (at_end(config, 0), last):
         check_drone(race)
         _check_rules(race)
         _check_gates(race)
@@ -56,12 +56,8 @@ def with_body(config: Config, radius: float) -> Config:
     return config
 
 
-def at_end(config: Config) -> Config:
-    """The config with the last value of every schedule."""
-    return _with_scheduled(config, -1)
-
-
-def _with_scheduled(config: Config, index: int) -> Config:
+def at_end(config: Config, index: int = -1) -> Config:
+    """The config with the last value of every schedule; with ``index`` 0 the first."""
     for key, schedule in config.schedules.items():
         if schedule.linear[index] != "value":
             config = config.at(key, schedule.linear[index])

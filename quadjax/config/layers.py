@@ -56,7 +56,12 @@ def config_layers(path: Path, parts: Sequence[str], overrides: Sequence[str]) ->
     layers = [x for file, tree in files for x in with_files(file, tree, [Path(file).parent])]
     over = parse_overrides([_expand(override) for override in overrides])
     over_layers = with_files(OVERRIDES, over, [Path(), path.parent])
-    return [*default_layers([tree for _, tree in files]), *layers, *over_layers]
+    defaults: list[Layer] = []
+    for section, name in DEFAULTS.items():  # but of a section whose values a file has itself
+        keys = {key for _, tree in files for key in _section(tree, section)}
+        if not keys & {"models", "gates", "generate"}:
+            defaults += with_files("defaults", {section: {"file": name}}, [CONFIGS])
+    return [*defaults, *layers, *over_layers]
 
 
 def find_part(name: str, config: Path, presets: Sequence[str]) -> Path:
@@ -83,19 +88,6 @@ def find_part(name: str, config: Path, presets: Sequence[str]) -> Path:
         names = {part.removeprefix(f"{preset}_") for part in names}
     hint, listed = close_match(name, sorted(names)), ", ".join(sorted(names))
     raise InputError(f"+{name}: no such part{hint}; parts of quadjax: {listed}")
-
-
-def default_layers(trees: Sequence[Tree]) -> list[Layer]:
-    """The default vehicle and track, without one whose values a tree has itself.
-
-    These are ``vehicle.models``, or ``track.gates`` or ``track.generate``.
-    """
-    layers: list[Layer] = []
-    for section, file in DEFAULTS.items():
-        keys = {key for tree in trees for key in _section(tree, section)}
-        if not keys & {"models", "gates", "generate"}:
-            layers += with_files("defaults", {section: {"file": file}}, [CONFIGS])
-    return layers
 
 
 def with_files(source: Path | str, tree: Tree, folders: Sequence[Path]) -> list[Layer]:

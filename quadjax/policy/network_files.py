@@ -294,7 +294,7 @@ def _read_arrays(path: Path | str) -> tuple[dict[str, np.ndarray], str]:
         factors = re.findall(r"[\[*]\s*([^\[\]*]*?)\s*(?=[\]*])", sizes)
         declared = math.prod(map(int, factors)) if all(map(str.isdecimal, factors)) else None
         if declared not in (None, count := len(words)):
-            raise InputError(f"{path}: {name} has {count} numbers, declared are {declared}")
+            raise InputError(f"{path}: {name} has {count} numbers, its declaration says {declared}")
     if not arrays:
         raise InputError(f"{path}: no array weights_.. or {STD}, expected such as weights_fc1[]")
     return arrays, text
