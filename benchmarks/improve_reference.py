@@ -23,8 +23,6 @@ from quadjax.plant import config as plants
 from quadjax.plant.plant import drawn_factors, nominal_vehicle
 from quadjax.refit import Model
 from quadjax.vehicle.battery import BatteryConfig
-from quadjax.vehicle.constants import constant_names
-from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.vehicle_file import write_vehicle
 
 FLIGHTS, LAPS = 4, 6  # for the residual
@@ -61,10 +59,9 @@ def plant_model(setting: Setting, folder: Path) -> tuple[PlantModel, list[Path]]
     assert plant is not None
     (folder / "logs").mkdir(parents=True, exist_ok=True)
     base, (factors, _) = nominal_vehicle(plant), drawn_factors(plant)
-    pairs = ((name, float(getattr(base.motor, name))) for name in constant_names(MotorConstants))
-    true = {name: value * factors.get(name, 1.0) for name, value in pairs}
-    drawn = dataclasses.replace(base, name="plant", motor=MotorConstants(**true))
-    write_vehicle(vehicle, drawn, {}, "The constants of a drawn stand-in plant.")
+    true = {name: x * factors.get(name, 1.0) for name, x in base.models["motor"].items()}
+    drawn = dataclasses.replace(base.with_constants("motor", true), name="plant")
+    write_vehicle(vehicle, drawn, "The constants of a drawn stand-in plant.")
     exactly = dataclasses.replace(setting, plant=exact(plant), flights=FLIGHTS, laps=LAPS)
     state = Round(setting.policy, Model.of(setting.race), 0.0)
     flown = fly_and_log(exactly, state, "plant", folder / "logs", CHECK_SEED + 1, print)

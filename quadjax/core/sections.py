@@ -173,8 +173,11 @@ def load_section(
 
 def check_integer(name: str, value: object, least: int, most: int) -> None:
     """Raise an ``InputError`` that names the argument unless it is an integer in the range."""
-    whole = isinstance(value, Integral) and not isinstance(value, bool)
-    if not whole or not least <= int(value) <= most:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, Integral)
+        or not least <= int(value) <= most
+    ):
         raise InputError(f"{name} is {value!r}, allowed: an integer, {least} to {most}")
 
 

@@ -36,6 +36,7 @@ VALUE = "value_"  # prefix of the critic's arrays
 SOURCES: dict[str, Source] = {"true": "ground_truth", "estimated": "estimated", "none": "none"}
 Command = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Commands = Annotated[tuple[Command, ...], Field(max_length=100)]
+WidthName = Annotated[str, Field(pattern=r"^(moment_[xyz]|force_z)$")]
 HalfWidth = Annotated[float, Field(ge=0, lt=1e6)]
 
 
@@ -58,9 +59,7 @@ class Release1(Section):
 
     wrap_next_yaw: bool = True
     disturbance_input: Literal["true", "estimated", "none"] = "true"
-    disturbance: dict[Literal["moment_x", "moment_y", "moment_z", "force_z"], HalfWidth] | None = (
-        Field(None, max_length=4)
-    )
+    disturbance: dict[WidthName, HalfWidth] | None = Field(None, max_length=4)
 
 
 @dataclasses.dataclass(frozen=True)
