@@ -239,8 +239,6 @@ def check_writable(path: Path, suffixes: Sequence[str] = (), overwrite: bool = T
     with writing(path):
         if path.is_symlink():
             raise InputError(f"{path}: is a link, expected the name of a file")
-        if path.is_dir():
-            raise InputError(f"{path}: is a directory, expected the name of a file")
         if path.exists():
             check_file(path)
         if not path.parent.is_dir():

@@ -14,7 +14,7 @@ from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.mlp import Layer
-from quadjax.learners.loop import Plan, plan_chunks
+from quadjax.learners.loop import plan_chunks
 from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.state import ActorCritic, Learner, Networks, TrainState
 from quadjax.policy.file import Policy
@@ -102,17 +102,18 @@ def build_learner(config: Config) -> Learner[RaceParams]:
             f"learner.algorithm {config.learner.algorithm}: make() gives a "
             f"{type(learner).__name__}, expected a quadjax.Learner"
         )
-    run_plan = plan(config, learner.steps_per_update)
+    steps = config.run.steps
+    plan = plan_chunks(steps, config.run.evaluate_every, learner.steps_per_update)
 
     def make(config: Config) -> Learner[RaceParams]:
-        return config.learner.make(environment, networks, run_plan.updates)
+        return config.learner.make(environment, networks, plan.updates)
 
     def numbers_at(key: str, value: float | None) -> tuple[Any, RaceParams]:
         changed = config if value is None else config.at(key, value)
         return make(changed).hyper, training_params(changed)
 
-    schedules, steps = config.schedules, config.run.steps
-    return schedule_learner(make(config), schedules, numbers_at, run_plan, steps, config.curriculum)
+    whole, schedules = make(config), config.schedules
+    return schedule_learner(whole, schedules, numbers_at, plan, steps, config.curriculum)
 
 
 def training_params(config: Config) -> RaceParams:
@@ -124,14 +125,6 @@ def training_params(config: Config) -> RaceParams:
     params = build_params(config)
     recorded = read_starts(config, params)
     return params if recorded is None else params.replace(recorded=recorded)
-
-
-def plan(config: Config, steps_per_update: int) -> Plan:
-    """The chunks of the run.
-
-    A run of fewer steps than ``run.evaluate_every`` is one short chunk.
-    """
-    return plan_chunks(config.run.steps, config.run.evaluate_every, steps_per_update)
 
 
 def start_state(

@@ -19,7 +19,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
 from quadjax.core.interruptions import interruptions
 from quadjax.learners import parallel
-from quadjax.learners.loop import Plan, Row, train_chunks
+from quadjax.learners.loop import Plan, Row, plan_chunks, train_chunks
 from quadjax.learners.parallel import Chunk
 from quadjax.learners.state import ActorCritic, Learner, TrainState
 from quadjax.policy.file import Policy
@@ -28,7 +28,6 @@ from quadjax.race.laps import Laps
 from quadjax.training.build import (
     build_learner,
     initial_policy,
-    plan,
     start_state,
     trained_policy,
     training_params,
@@ -122,7 +121,8 @@ def _prepare(config: Config) -> _Job:
     mesh = parallel.choose_mesh(config.run.devices, shapes)
     if config.run.tensorboard:
         check_tensorboard()
-    chunks = plan(config, learner.steps_per_update)
+    every = config.run.evaluate_every
+    chunks = plan_chunks(config.run.steps, every, learner.steps_per_update)
     return _Job(config, params, learner, shapes, mesh, chunks, initial_policy(config))
 
 
