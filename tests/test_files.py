@@ -216,7 +216,7 @@ def test_meta_that_is_none(tmp_path, read):
     for meta, expected in (
         (None, "meta"),
         ("{not json", "JSON"),
-        ("[1, 2]", "format"),
+        ("[1, 2]", "JSON of an object"),
         ("[" * 100_000, "not JSON"),
         ('{"format": ' + "1" * 5000 + "}", "format is inf"),
     ):

@@ -84,19 +84,18 @@ def read_json(path: Path | str) -> dict[str, Any]:
     Raises:
         InputError: no such file, not JSON, or not an object.
     """
-    text = read_text(path)
+    return _parse_json(read_text(path), f"{path}: damaged, not JSON")
+
+
+def _parse_json(text: str, label: str) -> dict[str, Any]:
+    """The object of a JSON text; an integer of more than 18 digits is a float, perhaps infinite."""
     try:
-        value = _parse_json(text)
+        value = json.loads(text, parse_int=lambda x: (int if len(x) < 19 else float)(x))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: damaged, not a JSON file ({error})") from error
+        raise InputError(f"{label} ({error})") from error
     if not isinstance(value, dict):
-        raise InputError(f"{path}: expected a JSON object")
+        raise InputError(f"{label} of an object")
     return value
-
-
-def _parse_json(text: str) -> Any:
-    """The value of a JSON text; an integer of more than 18 digits is a float, perhaps infinite."""
-    return json.loads(text, parse_int=lambda digits: (int if len(digits) < 19 else float)(digits))
 
 
 def write_npz(path: Path | str, arrays: dict[str, np.ndarray], meta: dict[str, object]) -> None:
@@ -172,11 +171,8 @@ def read_npz(
         raise InputError(f"{path}: not a readable .npz file ({str(error)[:200]})") from error
     if "meta" not in arrays:
         raise InputError(f"{path}: no 'meta' entry; expected a JSON string")
-    try:
-        meta = _parse_json(str(arrays.pop("meta")))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: 'meta' is not JSON ({error})") from error
-    stated = meta.get("format") if isinstance(meta, dict) else None
+    meta = _parse_json(str(arrays.pop("meta")), f"{path}: 'meta' is not JSON")
+    stated = meta.get("format")
     formats = (expected_format,) if isinstance(expected_format, str) else expected_format
     if stated not in formats:
         raise InputError(f"{path}: format is {stated!r}, expected {' or '.join(formats)}")
