@@ -1,7 +1,7 @@
 """The keys of a sweep file."""
 
 import json
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
@@ -11,6 +11,7 @@ from quadjax.core.sections import Field, FolderName, Positive, Section, model_va
 
 ENTRIES = ("choices", "range", "log", "step", "points")  # of a key of the search space
 MAX_TRIALS = 10_000
+End = Annotated[float, Field(ge=-1e12, le=1e12)]  # of an interval: no key takes larger numbers
 Value = bool | int | float | str | None  # as Optuna stores it: lists as JSON text
 Distribution = CategoricalDistribution | FloatDistribution | IntDistribution
 
@@ -40,8 +41,8 @@ class Range(Section):
     choices: tuple[Any, ...] | None = Field(
         None, min_length=1, max_length=1000, description="values"
     )
-    range: tuple[float, float] | None = Field(None, description="lowest and highest value")
-    log: tuple[float, float] | None = Field(None, description="the same, on a log scale")
+    range: tuple[End, End] | None = Field(None, description="lowest and highest value")
+    log: tuple[End, End] | None = Field(None, description="the same, on a log scale")
     step: Positive | None = Field(None, description="distance of the values of a range")
     points: int | None = Field(None, ge=2, le=MAX_TRIALS, description="number of values of a grid")
 
