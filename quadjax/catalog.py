@@ -20,8 +20,7 @@ from quadjax.race.track import GateSection, TrackSection
 from quadjax.vehicle import vehicle_file
 from quadjax.vehicle.airframe import Airframe
 from quadjax.vehicle.registry import MODELS, model
-from quadjax.vehicle.summary import describe as describe_vehicle
-from quadjax.vehicle.summary import summarize, warnings
+from quadjax.vehicle.summary import summarize
 from quadjax.vehicle.vehicle_file import VehicleFile
 
 PRESET = "e2e"  # the rules for a track file without rules
@@ -91,8 +90,8 @@ def _vehicle_text(config: Config) -> str:
     vehicle = config.vehicle
     kind = model(vehicle.model)
     summary = summarize(kind, vehicle.constants)
-    lines = [f"{vehicle.name}, model {vehicle.model}", describe_vehicle(kind, summary)]
-    lines += [f"  warning: {text}" for text in warnings(summary)]
+    lines = [f"{vehicle.name}, model {vehicle.model}", *summary.lines]
+    lines += [f"  warning: {text}" for text in summary.warnings]
     return "\n".join(lines)
 
 

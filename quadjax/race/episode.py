@@ -6,14 +6,12 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.layout import LAST_ACTION, begin_past, split_name
-from quadjax.race.starts import draw_recorded
 from quadjax.race.step import Choices, Estimate, RaceParams, RaceState
 from quadjax.race.track import Track, gate, gate_count, pick
 from quadjax.vehicle import estimator
@@ -25,18 +23,7 @@ ALONG_LEG, BATTERY, TRACK, RECORDED, RACE_START, AROUND_HOVER = range(1, 7)
 AROUND_START, YAW_OF_START = 0.5, math.pi / 4.0  # half-widths of x and y, m, and of the yaw, rad
 
 
-class Draws(struct.PyTreeNode):
-    """The random numbers of one start, each in [-1, 1]."""
-
-    gate: jax.Array  # ()
-    clock: jax.Array  # ()
-    position: jax.Array  # (3,)
-    velocity: jax.Array  # (3,)
-    euler: jax.Array  # (3,)
-    rates: jax.Array  # (3,)
-    actuators: jax.Array  # (at least 4,)
-    disturbance: jax.Array  # (4,) of the moment and the force
-    constants: jax.Array  # (n,)
+Draws = dict[str, jax.Array]  # random numbers of one start, each in [-1, 1]; see ``draw_start``
 
 
 def draw(key: jax.Array, count: int) -> jax.Array:
@@ -46,10 +33,11 @@ def draw(key: jax.Array, count: int) -> jax.Array:
 
 def draw_start(model: VehicleModel, key: jax.Array, constants: int = 0) -> Draws:
     """The random numbers of a start, with those of a number of constants."""
+    sizes = {"gate": 1, "clock": 1, "position": 3, "velocity": 3, "euler": 3, "rates": 3}
     # Four for fewer actuators too: all other numbers of a key are then those of any such model.
-    sizes = (1, 1, 3, 3, 3, 3, max(4, model.actuators.size), 4, constants)
-    gate, clock, *others = jnp.split(draw(key, sum(sizes)), np.cumsum(sizes)[:-1])
-    return Draws(gate[0], clock[0], *others)
+    sizes |= {"actuators": max(4, model.actuators.size), "disturbance": 4, "constants": constants}
+    ends = np.cumsum(list(sizes.values()))
+    return dict(zip(sizes, jnp.split(draw(key, int(ends[-1])), ends[:-1]), strict=True))
 
 
 def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
@@ -64,7 +52,7 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     model, ranges = choices.model, params.start
     size = len(jax.tree.leaves(params.vehicle.constants)) if choices.randomize else 0
     draws = draw_start(model, key, size)
-    constants = _draw_constants(choices, params, draws.constants)
+    constants = _draw_constants(choices, params, draws["constants"])
     nominal = params.vehicle.constants if constants is None else constants
     drone, target = _draw_drone(model, params, nominal, draws, key)
     battery, clock = None, jnp.zeros((), jnp.int32)
@@ -72,8 +60,8 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         rpm = drone.actuators
         battery = draw_battery(params.battery, rpm, jax.random.fold_in(key, BATTERY))
     if ranges.stagger_clocks:
-        steps = jnp.asarray(params.training_limits.episode_steps, draws.clock.dtype)
-        clock = (0.5 * (draws.clock + 1.0) * steps).astype(jnp.int32)
+        steps = jnp.asarray(params.training_limits.episode_steps, draws["clock"].dtype)
+        clock = (0.5 * (draws["clock"][0] + 1.0) * steps).astype(jnp.int32)
     state = _begin(choices, params, drone, target, constants, battery)
     if ranges.race is not None:
         race_key, used_key = jax.random.split(jax.random.fold_in(key, RACE_START))
@@ -134,13 +122,16 @@ def _draw_drone(
     """
     starts, target, fraction = params.start, jnp.zeros((), jnp.int32), jnp.zeros(())
     if starts.gate == "random":
-        target = start_gate(params.track, draws.gate)
+        target = start_gate(params.track, draws["gate"][0])
     if params.recorded is not None:
-        used, recorded = draw_recorded(params.recorded, jax.random.fold_in(key, RECORDED))
+        which, whether = jax.random.uniform(jax.random.fold_in(key, RECORDED), (2,))
+        used, count = whether < params.recorded.fraction, params.recorded.target.shape[0]
+        index = jnp.minimum((which * count).astype(jnp.int32), count - 1)
+        recorded = jax.tree.map(lambda x: x[index], params.recorded.replace(fraction=None))
         target = jnp.where(used, recorded.target, target)
     if starts.along_leg is not None:
         fraction = starts.along_leg * jax.random.uniform(jax.random.fold_in(key, ALONG_LEG))
-    motion, actuators = _motion(params, target, fraction, draws), draws.actuators
+    motion, actuators = _motion(params, target, fraction, draws), draws["actuators"]
     if params.recorded is not None:
         motion = jax.tree.map(functools.partial(jnp.where, used), recorded.motion, motion)
         count = recorded.actuators.shape[0]
@@ -152,8 +143,8 @@ def _draw_drone(
         return state, target
     ranges = params.disturbance
     widths = _vector(ranges.moment_x, ranges.moment_y, ranges.moment_z)
-    moment = Vec3.of(draws.disturbance[:3]) * widths + _vector(*ranges.moment_bias)
-    force = Vec3.zero().replace(z=draws.disturbance[3] * ranges.force_z)
+    moment = Vec3.of(draws["disturbance"][:3]) * widths + _vector(*ranges.moment_bias)
+    force = Vec3.zero().replace(z=draws["disturbance"][3] * ranges.force_z)
     return state.replace(moment_ext=moment, force_ext=force), target
 
 
@@ -172,14 +163,14 @@ def _motion(params: RaceParams, target: jax.Array, fraction: jax.Array, draws: D
     """The motion of a start around the point at a ``fraction`` () of the way to a target gate."""
     ranges = params.start
     roll_pitch, yaw = jnp.radians(ranges.roll_pitch_deg), jnp.radians(ranges.yaw_deg)
-    euler = Vec3.of(draws.euler) * _vector(roll_pitch, roll_pitch, yaw)
+    euler = Vec3.of(draws["euler"]) * _vector(roll_pitch, roll_pitch, yaw)
     if params.heading is not None:
         euler = euler.replace(z=wrap_angle(euler.z + pick(params.heading, target)))
     return Motion(
-        _way(params.track, target, fraction) + Vec3.of(draws.position) * ranges.position,
-        Vec3.of(draws.velocity) * ranges.velocity,
+        _way(params.track, target, fraction) + Vec3.of(draws["position"]) * ranges.position,
+        Vec3.of(draws["velocity"]) * ranges.velocity,
         euler,
-        Vec3.of(draws.rates) * ranges.body_rates,
+        Vec3.of(draws["rates"]) * ranges.body_rates,
     )
 
 

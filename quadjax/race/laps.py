@@ -227,25 +227,21 @@ def fly_race(
 ) -> tuple[LapState, Trace | None]:
     """Fly from given states for at most ``steps`` steps; see ``fly_laps`` and ``begin``."""
     one = stepper(choices, actor, params, policy, last)
+    carry = (begin(state, laps), key)
+    if not trace:
+        _, (race, _) = jax.lax.while_loop(
+            lambda loop: (loop[0] < steps) & ~jnp.all(loop[1][0].over),
+            lambda loop: (loop[0] + 1, one(loop[1])[0]),
+            (0, carry),
+        )
+        return race, None
 
     def record(carry: Carry, _: None) -> tuple[Carry, Trace]:
         following, action = one(carry)
         return following, _trace(choices, params, carry[0], action)
 
-    carry = (begin(state, laps), key)
-    if trace:
-        (race, _), kept = jax.lax.scan(record, carry, None, steps)
-        return race, kept
-
-    def going_on(carry: tuple) -> jax.Array:
-        count, (race, _) = carry
-        return (count < steps) & ~jnp.all(race.over)
-
-    def body(carry: tuple) -> tuple:
-        return carry[0] + 1, one(carry[1])[0]
-
-    _, (race, _) = jax.lax.while_loop(going_on, body, (0, carry))
-    return race, None
+    (race, _), kept = jax.lax.scan(record, carry, None, steps)
+    return race, kept
 
 
 def stepper(

@@ -77,12 +77,6 @@ class Rules(Section):
         (), max_length=32, description="your own rules that end an episode, as module:function"
     )
 
-    @property
-    def largest_body_rates(self) -> tuple[float, float, float]:
-        """Largest p, q and r, rad/s; infinity where there is no limit."""
-        limit = math.inf if self.body_rate_limit is None else self.body_rate_limit
-        return limit if isinstance(limit, tuple) else (limit, limit, limit)
-
 
 @register
 class TrainingLimits(Section):

@@ -134,37 +134,25 @@ class Track(Gate):
     closed: bool = struct.field(pytree_node=False, default=True)
 
 
-def make_track(
-    position: jax.Array,
-    yaw: jax.Array,
-    size: jax.Array,
-    tilt: jax.Array | None = None,
-    circle: jax.Array | None = None,
-    start: Pose | None = None,
-    closed: bool = True,
-) -> Track:
-    """A track of gates in flying order.
+def build_track(section: TrackSection) -> Track:
+    """The arrays of a track of a config.
 
-    Args:
-        position: (gates, 3) centers, m, world NED.
-        yaw: (gates,) heading of the way through, rad.
-        size: (gates, 2) width and height of the opening, m.
-        tilt: (gates, 2) roll and pitch of the gates, rad; None: all upright.
-        circle: (gates,) whether the opening is round; None: all are rectangles.
-        start: of timed laps; None: at the last gate.
-        closed: whether the first gate follows the last. Where it does not, the observed gate after
-            the last one is straight ahead, ``AHEAD`` m, in the same direction.
+    Where the last gate is not followed by the first, the observed gate after it is straight ahead,
+    ``AHEAD`` m, in the same direction.
     """
-    tilted = None if tilt is None else attitude(Vec3(tilt[:, 0], tilt[:, 1], yaw))
+    gates, closed = section.gates, section.closed
+    tilt = np.radians([(g.roll_deg, g.pitch_deg) for g in gates]).astype(np.float32)
+    circle = np.array([g.shape == "circle" for g in gates])
+    position = jnp.asarray(np.array([g.position for g in gates], np.float32))
+    yaw = jnp.asarray(np.radians([g.yaw_deg for g in gates]).astype(np.float32))
+    size = jnp.asarray(np.array([g.size for g in gates], np.float32))
     cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
-    to_next = Vec3.of(jnp.roll(position, -1, axis=0) - position)
+    to_next = jnp.roll(position, -1, axis=0) - position
     next_yaw = jnp.roll(yaw, -1) - yaw
     if not closed:
         ahead = AHEAD * jnp.stack([cosine[-1], sine[-1], jnp.zeros_like(sine[-1])])
-        to_next = Vec3(
-            *(x.at[-1].set(last) for x, last in zip(to_next.components(), ahead, strict=True))
-        )
-        next_yaw = next_yaw.at[-1].set(0.0)
+        to_next, next_yaw = to_next.at[-1].set(ahead), next_yaw.at[-1].set(0.0)
+    x, y, z = Vec3.of(to_next).components()
     return Track(
         position=Vec3.of(position),
         yaw=yaw,
@@ -172,32 +160,12 @@ def make_track(
         sin_yaw=sine,
         half_width=0.5 * size[:, 0],
         half_height=0.5 * size[:, 1],
-        next_position=Vec3(
-            cosine * to_next.x + sine * to_next.y,
-            -sine * to_next.x + cosine * to_next.y,
-            to_next.z,
-        ),
+        next_position=Vec3(cosine * x + sine * y, -sine * x + cosine * y, z),
         next_yaw=wrap_angle(next_yaw),
-        attitude=tilted,
-        circle=circle,
-        start=start,
+        attitude=attitude(Vec3(*map(jnp.asarray, tilt.T), yaw)) if tilt.any() else None,
+        circle=jnp.asarray(circle) if circle.any() else None,
+        start=None if section.start is None else _pose(section.start),
         closed=closed,
-    )
-
-
-def build_track(section: TrackSection) -> Track:
-    """The arrays of a track of a config."""
-    gates = section.gates
-    tilt = np.radians([(g.roll_deg, g.pitch_deg) for g in gates]).astype(np.float32)
-    circle = np.array([g.shape == "circle" for g in gates])
-    return make_track(
-        jnp.asarray(np.array([g.position for g in gates], np.float32)),
-        jnp.asarray(np.radians([g.yaw_deg for g in gates]).astype(np.float32)),
-        jnp.asarray(np.array([g.size for g in gates], np.float32)),
-        jnp.asarray(tilt) if tilt.any() else None,
-        jnp.asarray(circle) if circle.any() else None,
-        None if section.start is None else _pose(section.start),
-        section.closed,
     )
 
 

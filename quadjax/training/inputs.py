@@ -8,12 +8,14 @@ from quadjax.config.race import choices_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import USER_ERRORS, InputError, user_error
 from quadjax.core.files import check_finite
+from quadjax.core.vectors import Vec3
 from quadjax.flights.files import load
 from quadjax.flights.flight import MOTION, Flight
 from quadjax.learners.parallel import repeat
 from quadjax.learners.state import Learner, TrainState
 from quadjax.race.environment import RaceParams, make_environment
-from quadjax.race.starts import RecordedStarts, recorded_starts
+from quadjax.race.starts import RecordedStarts
+from quadjax.vehicle.protocol import Motion
 from quadjax.vehicle.registry import model as vehicle_model
 
 NAMES = (*MOTION, "actuators")  # of the signals of a recorded state
@@ -54,9 +56,13 @@ def read_starts(config: Config, params: RaceParams) -> RecordedStarts | None:
     if model.uses_start_thrust:
         ends = config.start.thrust
     low, high = (np.array(jax.tree.leaves(end), np.float64) for end in ends)
-    scaled = 2.0 * (arrays["actuators"] - low) / (high - low) - 1.0
-    motion = [arrays[key] for key in MOTION]
-    return recorded_starts(motion, scaled, target, config.run.start_states_part)
+    scaled = np.clip(2.0 * (arrays["actuators"] - low) / (high - low) - 1.0, -1.0, 1.0)
+    return RecordedStarts(
+        motion=Motion(*(Vec3.of(jnp.asarray(arrays[key], jnp.float32)) for key in MOTION)),
+        actuators=jnp.asarray(scaled, jnp.float32),
+        target=jnp.asarray(target, jnp.int32),
+        fraction=jnp.float32(config.run.start_states_part),
+    )
 
 
 def states_of(name: str, flights: list[Flight]) -> dict[str, np.ndarray]:

@@ -12,7 +12,7 @@ can hold the same arrays, and the numbers under the key ``residual`` of its ``me
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -161,7 +161,7 @@ def from_arrays(path: Path | str, arrays: dict[str, np.ndarray], meta: object) -
         networks[name] = tuple(
             (jnp.asarray(k, jnp.float32), jnp.asarray(b, jnp.float32)) for k, b in layers
         )
-    rpm_min, rpm_max = _number(path, meta, "rpm_min"), _number(path, meta, "rpm_max")
+    rpm_min, rpm_max = (finite_number(path, meta, key, "meta ") for key in ("rpm_min", "rpm_max"))
     if not rpm_min < rpm_max:
         raise InputError(f"{path}: meta 'rpm_min' {rpm_min} is not below 'rpm_max' {rpm_max}")
     if isinstance(meta.get("thrust_sign"), bool) or meta.get("thrust_sign") not in (1, -1):
@@ -177,8 +177,11 @@ def from_arrays(path: Path | str, arrays: dict[str, np.ndarray], meta: object) -
     )
 
 
-def _number(path: Path | str, meta: dict, key: str) -> float:
-    value = meta.get(key)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-        raise InputError(f"{path}: meta {key!r} is {value!r}, expected a finite number")
+def finite_number(
+    path: Path | str, values: Mapping[str, object], key: str, prefix: str = ""
+) -> float:
+    """The finite number at a key of a file, whose name has a ``prefix`` in errors."""
+    value = values.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise InputError(f"{path}: {prefix}{key} is {value!r}, expected a finite number")
     return float(value)

@@ -1,6 +1,5 @@
 """Vehicle files: a drone's name, its model and the constants of one or several models."""
 
-import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from quadjax.vehicle.constants import constant_names, from_values, rotor_names, 
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.registry import MODELS
+from quadjax.vehicle.residual import finite_number
 
 KEYS = ("name", "mass", "width", "fitted_speed", "model", "rotors")  # in addition to the models
 ROTORS = ("front_left", "front_right", "rear_right", "rear_left")  # the order of Rotors
@@ -54,7 +54,7 @@ class VehicleFile:
         kind = MODELS[model].constants
         values = for_each_rotor(self.models[model], constant_names(kind))
         numbers = {
-            key: _number(self.path, values, key, f"{model}.") for key in constant_names(kind)
+            key: finite_number(self.path, values, key, f"{model}.") for key in constant_names(kind)
         }
         return from_values(kind, numbers)
 
@@ -85,10 +85,12 @@ def read_vehicle(name: str, folder: Path = Path()) -> VehicleFile:
     tree = read_tree_with_bases(path)
     values = vehicle_values(path, tree) | {"mass": tree.get("mass")}
     models = {
-        model: {key: _number(path, constants, key, f"{model}.") for key in constants}
+        model: {key: finite_number(path, constants, key, f"{model}.") for key in constants}
         for model, constants in values["models"].items()
     }
-    numbers = {key: _number(path, values, key) for key in NUMBERS if values.get(key) is not None}
+    numbers = {
+        key: finite_number(path, values, key) for key in NUMBERS if values.get(key) is not None
+    }
     model = str(values["model"]) if "model" in values else None
     return VehicleFile(str(values["name"]), models, model, **numbers, path=path)
 
@@ -216,10 +218,3 @@ def _constant_lines(values: Mapping[str, float], notes: Mapping[str, str]) -> li
             key = stem if stem in stems else name
             lines.append(f"  {key}: {text}" + (f"  # {note}" if note else ""))
     return lines
-
-
-def _number(path: Path, values: Mapping[str, object], name: str, section: str = "") -> float:
-    value = values.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{path}: {section}{name} is {value!r}, expected a finite number")
-    return float(value)

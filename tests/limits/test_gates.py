@@ -11,17 +11,17 @@ from quadjax.limits.gates import gates_of
 from quadjax.limits.problem import POSITION, Flight, make_problem
 from quadjax.limits.verify import passages
 from quadjax.race.rules import inside_opening
-from quadjax.race.track import gate, make_track, to_opening_frame
+from quadjax.race.track import TrackSection, build_track, gate, to_opening_frame
 
 
 def _track():
-    return make_track(
-        np.array([[0.0, 0.0, -2.0], [2.0, 1.0, -1.5], [1.0, -1.0, -1.0]]),
-        np.array([0.3, 2.0, -1.0]),
-        np.array([[1.0, 0.6], [0.8, 0.8], [1.2, 1.0]]),
-        np.array([[0.5, -0.3], [0.0, 0.4], [0.0, 0.0]]),
-        np.array([False, True, False]),
+    rows = (
+        ([0.0, 0.0, -2.0], 17.0, [1.0, 0.6], 28.0, -17.0, "rectangle"),
+        ([2.0, 1.0, -1.5], 115.0, [0.8, 0.8], 0.0, 23.0, "circle"),
+        ([1.0, -1.0, -1.0], -57.0, [1.2, 1.0], 0.0, 0.0, "rectangle"),
     )
+    names = ("position", "yaw_deg", "size", "roll_deg", "pitch_deg", "shape")
+    return build_track(TrackSection(gates=[dict(zip(names, row, strict=True)) for row in rows]))
 
 
 def test_a_place_has_clearance_where_the_rules_let_it_pass():

@@ -18,7 +18,7 @@ from quadjax.race import environment, episode
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.laps import LapState, begin, score
 from quadjax.race.step import Outcome
-from quadjax.race.track import make_track
+from quadjax.race.track import Track, TrackSection, build_track
 from tests import reference as ref
 from tests.convert import state_of
 from tests.promotion import QUICK
@@ -38,13 +38,25 @@ def make_race(*overrides: str) -> tuple[Choices, RaceParams]:
         return choices_of(config), build_params(config)
 
 
-_make_track = jax.jit(make_track, static_argnames="closed", compiler_options=QUICK)
-
-
-def track_of(gates: np.ndarray, yaw: np.ndarray, size: Sequence = (1.0, 1.0), **more: object):
-    sizes = np.broadcast_to(np.asarray(size, np.float32), (len(gates), 2))
-    columns = (np.asarray(x, np.float32) for x in (gates, yaw, sizes))
-    return _make_track(*columns, **more)
+def track_of(
+    gates: np.ndarray,
+    yaw: np.ndarray,
+    size: Sequence = (1.0, 1.0),
+    tilt: Sequence = (0.0, 0.0),
+    shape: str = "rectangle",
+    closed: bool = True,
+) -> Track:
+    """A track of centers, m, and angles, rad; sizes and tilts of all gates, or of each."""
+    columns = [np.broadcast_to(x, (len(gates), 2)).tolist() for x in (size, np.degrees(tilt))]
+    sections = [
+        {"position": place, "yaw_deg": angle, "size": sides, "shape": shape}
+        | {"roll_deg": roll, "pitch_deg": pitch}
+        for place, angle, sides, (roll, pitch) in zip(
+            np.asarray(gates, np.float64).tolist(), np.degrees(yaw).tolist(), *columns, strict=True
+        )
+    ]
+    with jax.enable_x64(False):
+        return build_track(TrackSection(gates=sections, closed=closed))
 
 
 def race_state(kind: str, rows: np.ndarray, target: object = 0, step: object = 0) -> RaceState:

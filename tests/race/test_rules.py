@@ -425,7 +425,7 @@ def test_tilted_and_round_openings(circle, test):
     """Moves across each opening's plane, against rotation matrices."""
     yaw, size = np.array([0.3, -2.0, 1.0]), (1.4, 1.4 if circle else 0.8)
     centers = np.array([[1.0, 2, -3], [-2, 0, -2], [0, 3, -4]])
-    track = track_of(centers, yaw, size, tilt=np.float32(TILTS), circle=np.full(3, circle))
+    track = track_of(centers, yaw, size, tilt=TILTS, shape="circle" if circle else "rectangle")
     draw = np.random.default_rng(0)
     for index, matrix in enumerate(ref.rotation(np.column_stack([TILTS, yaw]))):
         after = draw.uniform(-1.2, 1.2, (400, 3)) * [0.1, 1, 1]
