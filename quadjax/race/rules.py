@@ -217,12 +217,17 @@ def hits_the_ground(step: Step) -> jax.Array:
     return fast | (down > BENEATH)
 
 
+def exceeds(*pairs: tuple[jax.Array, Scalar | None]) -> jax.Array | None:
+    """Whether the magnitude of a number is above its limit; None where no number has a limit."""
+    beyond = [jnp.abs(number) > limit for number, limit in pairs if limit is not None]
+    return functools.reduce(jnp.logical_or, beyond) if beyond else None
+
+
 def leaves_the_bounds(step: Step) -> jax.Array | None:
     """Whether |x|, |y| or the bounds of the race are exceeded."""
     rules, position, radius = step.params.rules, step.position, body_radius(step)
-    beyond = []
-    if rules.position_limit is not None:
-        beyond += [jnp.abs(x) > rules.position_limit for x in (position.x, position.y)]
+    far = exceeds(*((x, rules.position_limit) for x in (position.x, position.y)))
+    beyond = [] if far is None else [far]
     for x, (low, high) in zip(position.components(), rules.bounds or (), strict=False):
         beyond += [(x < low + radius) | (x > high - radius)]
     return functools.reduce(jnp.logical_or, beyond) if beyond else None
@@ -231,36 +236,19 @@ def leaves_the_bounds(step: Step) -> jax.Array | None:
 def turns_too_fast(step: Step) -> jax.Array | None:
     """Whether a body rate is above the limit of the race."""
     limit, rates = step.params.rules.body_rate_limit, step.body_rates.components()
-    if limit is None:
-        return None
-    limits = limit if isinstance(limit, tuple) else (limit, limit, limit)
-    beyond = [jnp.abs(rate) > highest for rate, highest in zip(rates, limits, strict=True)]
-    return beyond[0] | beyond[1] | beyond[2]
-
-
-def yaws_too_fast(step: Step) -> jax.Array | None:
-    """Whether the yaw rate is above its limit of training."""
-    limit = step.params.training_limits.yaw_rate
-    return None if limit is None else jnp.abs(step.body_rates.z) > limit
+    return exceeds(*zip(rates, limit if isinstance(limit, tuple) else (limit,) * 3, strict=True))
 
 
 def loses_attitude(step: Step) -> jax.Array | None:
     """Whether pitch or roll is above its limit of training, or the Euler angles are singular."""
     limits, euler = step.params.training_limits, step.euler
     angles = (euler.y, limits.pitch_deg), (euler.x, limits.roll_deg)
-    beyond = [jnp.abs(angle) > jnp.radians(limit) for angle, limit in angles if limit is not None]
-    return functools.reduce(jnp.logical_or, beyond) if beyond else None
+    return exceeds(*((x, None if deg is None else jnp.radians(deg)) for x, deg in angles))
 
 
 def is_not_finite(step: Step) -> jax.Array:
     """Whether a number of the vehicle's state is not finite."""
     return ~jnp.isfinite(sum(jax.tree.leaves(step.drone)))
-
-
-def flies_too_fast(step: Step) -> jax.Array | None:
-    """Whether the speed is above the limit of the race."""
-    limit = step.params.rules.speed_limit
-    return None if limit is None else safe_norm(step.velocity) > limit
 
 
 # What ends an episode as a crash, by the text that says why: the first that applies is reported.
@@ -273,10 +261,14 @@ TERMINATIONS: dict[str, Termination] = {
     "hit the ground": hits_the_ground,
     "out of bounds": leaves_the_bounds,
     "above the body rate limit": turns_too_fast,
-    "above the training limit of the yaw rate": yaws_too_fast,
+    "above the training limit of the yaw rate": lambda step: exceeds(
+        (step.body_rates.z, step.params.training_limits.yaw_rate)
+    ),
     "lost its attitude": loses_attitude,
     NOT_FINITE: is_not_finite,
-    "above the speed limit": flies_too_fast,
+    "above the speed limit": lambda step: exceeds(
+        (safe_norm(step.velocity), step.params.rules.speed_limit)
+    ),
 }
 
 

@@ -187,34 +187,27 @@ def _text(
 ) -> str:
     """The text of a vehicle file, with the constants of four rotors as a list."""
     lines = [*(f"# {line}" for line in comment.splitlines()), *to_yaml(keys).splitlines()]
-    if any(map(_rotor_stems, models.values())):
+    if any(
+        len(names) > 1 for values in models.values() for names in _names_by_key(values).values()
+    ):
         lines.append(f"rotors: [{', '.join(ROTORS)}]")
+    words = {number: word for word, number in TURNING.items()}
     for model, values in models.items():
         comments = {} if notes is None else notes.get(model, {})
         fitted = notes is None or model in notes
         lines.append(f"{model}:" + ("" if fitted else "  # not fitted: the base vehicle's"))
-        lines += _constant_lines(values, comments)
+        for key, names in _names_by_key(values).items():
+            items = [words[values[x]] if key == "turning" else repr(values[x]) for x in names]
+            text = f"[{', '.join(items)}]" if len(items) > 1 else items[0]
+            note = ", ".join(comments[name] for name in names if name in comments)
+            lines.append(f"  {key}: {text}" + (f"  # {note}" if note else ""))
     return "\n".join(lines) + "\n"
 
 
-def _rotor_stems(values: Mapping[str, float]) -> set[str]:
-    """Names, without the rotor's number, of the constants of which all four rotors have one."""
-    return {name[:-1] for name in values if set(rotor_names(name[:-1])) <= set(values)}
-
-
-def _constant_lines(values: Mapping[str, float], notes: Mapping[str, str]) -> list[str]:
-    words = {number: word for word, number in TURNING.items()}
-    stems, lines = _rotor_stems(values), []
-    for name, value in values.items():
-        names: tuple[str, ...] = (name,)
-        stem, text = name[:-1], repr(value)
-        if stem in stems:
-            names = rotor_names(stem)
-            items = (values[rotor] for rotor in names)
-            text = ", ".join(words[x] if stem == "turning" else repr(x) for x in items)
-            text = f"[{text}]"
-        if name == names[0]:
-            note = ", ".join(notes[rotor] for rotor in names if rotor in notes)
-            key = stem if stem in stems else name
-            lines.append(f"  {key}: {text}" + (f"  # {note}" if note else ""))
-    return lines
+def _names_by_key(values: Mapping[str, float]) -> dict[str, tuple[str, ...]]:
+    """The names of constants by their keys in a file: one, or those of the four rotors."""
+    keys: dict[str, tuple[str, ...]] = {}
+    for name in values:
+        four = rotor_names(name[:-1])
+        keys |= {name[:-1]: four} if set(four) <= set(values) else {name: (name,)}
+    return keys
