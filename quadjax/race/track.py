@@ -146,6 +146,7 @@ def build_track(section: TrackSection) -> Track:
     position = jnp.asarray(np.array([g.position for g in gates], np.float32))
     yaw = jnp.asarray(np.radians([g.yaw_deg for g in gates]).astype(np.float32))
     size = jnp.asarray(np.array([g.size for g in gates], np.float32))
+    roll, pitch = (jnp.asarray(angles) for angles in tilt.T)
     cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
     to_next = jnp.roll(position, -1, axis=0) - position
     next_yaw = jnp.roll(yaw, -1) - yaw
@@ -162,7 +163,7 @@ def build_track(section: TrackSection) -> Track:
         half_height=0.5 * size[:, 1],
         next_position=Vec3(cosine * x + sine * y, -sine * x + cosine * y, z),
         next_yaw=wrap_angle(next_yaw),
-        attitude=attitude(Vec3(*map(jnp.asarray, tilt.T), yaw)) if tilt.any() else None,
+        attitude=attitude(Vec3(roll, pitch, yaw)) if tilt.any() else None,
         circle=jnp.asarray(circle) if circle.any() else None,
         start=None if section.start is None else _pose(section.start),
         closed=closed,
