@@ -86,8 +86,8 @@ def logs(
         plans = plan_logs(load_config(race), drone, names, flights, laps)
         files = [f"{name}_*.csv" for name in plans]
         with results(output, "logs", files, overwrite) as new, steps() as report:
-            written = write_logs(plans, new, seed, report)
-        for log in written:
+            logs = write_logs(plans, new, seed, report)
+        for log in logs:
             wrote(f"{output / log.path.name}, {log.rows} rows {log.crash}".rstrip())
         return
     extra = read_residual(residual) if residual else None

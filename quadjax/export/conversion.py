@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import hashlib
 import itertools
+import re
 import textwrap
 from pathlib import Path
 
@@ -162,14 +163,20 @@ def convert_policy(
     return Converted(policy, fixed, proof, rollouts, own, facts, options)
 
 
+RESERVED = re.compile(r"(qj|quadjax|neural_network|nn_controller|controller_quadjax)(_|$)")
+
+
 def symbol_name(name: str | None, file: str) -> str:
     """The name of the files and of the table in C: the requested one, or the policy file's."""
     if name is None:
-        return identifier(Path(file).stem)[:LONGEST_NAME]
+        stem = identifier(Path(file).stem)
+        return (f"policy_{stem}" if RESERVED.match(stem) else stem)[:LONGEST_NAME]
     if identifier(name) != name or len(name) > LONGEST_NAME:
         raise InputError(
             f"--name {name!r}: expected a lower-case C identifier of at most {LONGEST_NAME} letters"
         )
+    if RESERVED.match(name):
+        raise InputError(f"--name {name!r}: files of the runtime have such names; choose another")
     return name
 
 

@@ -22,7 +22,8 @@ STATES, LIMIT, STARTS = "quadjax-states/1", "quadjax-limit/1", "quadjax-starts/1
 OLD_FORMATS = (STATES, LIMIT, STARTS)  # of .npz files
 OLD_NAMES = {"attitude": "euler"}
 OLD_SIGNALS = ("position", "velocity", "euler", "rates", "actuators", "command")
-Arrays, Meta = dict[str, np.ndarray], dict[str, Any]
+Arrays = dict[str, np.ndarray]
+Meta = dict[str, Any]
 MISSING = -32768  # of the integers of a record: no value
 
 

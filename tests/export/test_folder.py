@@ -236,6 +236,8 @@ ONE_LINE = {
     "policy.npz --range velocity=3": "power of two",
     "policy.npz --name _x": "identifier",
     f"policy.npz --name {'a' * 300}": "identifier",
+    "policy.npz --name qj": "files of the runtime have such names",
+    "policy.npz --name quadjax_policy": "files of the runtime have such names",
     "policy.npz --track nowhere.yaml": "nowhere.yaml",
     "policy.npz": "policy.npz: 0 of 32 flights finish 6 laps of track square4",
     "nan.npz": "layer 1, row 6",
