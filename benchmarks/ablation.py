@@ -14,7 +14,7 @@ from typing import NamedTuple
 import quadjax
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.conditions import Condition, Conditions
-from quadjax.evaluation.result import joined
+from quadjax.evaluation.evaluate import joined
 
 RESIDUAL, STEPS = "standin_residual.npz", "run.steps=12000000"
 GROUPS = ("inertia", "thrust", "drag", "moment", "velocity_moment", "yaw", "lag")

@@ -7,8 +7,8 @@ from quadjax.core.environment import Environment as Environment
 from quadjax.core.errors import InputError as InputError
 from quadjax.core.resources import presets as presets
 from quadjax.core.sections import Section as Section
-from quadjax.evaluation.evaluation import evaluate as evaluate
-from quadjax.evaluation.result import Evaluation as Evaluation
+from quadjax.evaluation.evaluate import Evaluation as Evaluation
+from quadjax.evaluation.evaluate import evaluate as evaluate
 from quadjax.export.convert import export_c as export_c
 from quadjax.learners.ppo import PPO as PPO
 from quadjax.learners.schedules import Schedule as Schedule

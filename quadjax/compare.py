@@ -13,11 +13,10 @@ from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import file_record, provenance
 from quadjax.core.yaml_files import to_yaml
 from quadjax.evaluation.conditions import Conditions
-from quadjax.evaluation.evaluation import evaluate
+from quadjax.evaluation.evaluate import Evaluation, evaluate
 from quadjax.evaluation.plants import MOTOR_COMMAND, RECORDED
 from quadjax.evaluation.report import fastest_responses, write_report
-from quadjax.evaluation.result import Evaluation, Evaluations
-from quadjax.evaluation.rows import Row, common, crash_counts, interval
+from quadjax.evaluation.rows import Row, common, interval
 from quadjax.evaluation.table import Table, interval_text, lap_table
 from quadjax.flights.flight import Flight
 from quadjax.plant.config import PlantConfig
@@ -85,7 +84,7 @@ class Compared:
         name = self.contender.name
         worlds = {text: getattr(self, world).row for world, text in WORLDS.items()}
         return [
-            dataclasses.replace(row, policy=f"{name} {text}", condition="", beside=None)
+            dataclasses.replace(row, policy=f"{name} {text}", condition="", published=None)
             for text, row in worlds.items()
         ]
 
@@ -246,7 +245,7 @@ def lead(e2e: Compared, indi: Compared) -> str:
     return f"{text}, each later lap {' -> '.join(later)} s" if later else text
 
 
-def fly_conditions(setting: Setting, contender: Contender, report: Report) -> Evaluations:
+def fly_conditions(setting: Setting, contender: Contender, report: Report) -> Evaluation:
     """A contender on the drawn plants under each condition."""
     conditions = setting.conditions.replace(deterministic=setting.deterministic)
     return evaluate(
@@ -263,7 +262,7 @@ def fly_conditions(setting: Setting, contender: Contender, report: Report) -> Ev
     )
 
 
-def plants_table(e2e: Evaluations, indi: Evaluations) -> str:
+def plants_table(e2e: Evaluation, indi: Evaluation) -> str:
     """Both contenders under every condition as text, and E2E's lead on the same flights.
 
     Total times are of the flights that both finish: the same plants, batteries and gusts. Intervals
@@ -283,7 +282,7 @@ def plants_table(e2e: Evaluations, indi: Evaluations) -> str:
             )
     for name, flown in (("E2E", e2e), ("INDI", indi)):
         for row in flown.rows:
-            counts = [f"{reason} {number}" for reason, number in crash_counts(row.laps).items()]
+            counts = [f"{reason} {number}" for reason, number in row.ends.items()]
             notes += [f"{name}, {row.condition}, early ends: {', '.join(counts)}"] * bool(counts)
     first, second = common(e2e.rows[0], indi.rows[0])
     ahead = second.plant_laps - first.plant_laps
@@ -299,7 +298,7 @@ def plants_table(e2e: Evaluations, indi: Evaluations) -> str:
     return f"{title}\n{table.format()}"
 
 
-def plant_numbers(e2e: Evaluations, indi: Evaluations, place: int) -> dict[str, Any]:
+def plant_numbers(e2e: Evaluation, indi: Evaluation, place: int) -> dict[str, Any]:
     """Numbers of one contender under every condition, by label; ``place`` 0 is E2E.
 
     Total times are of the flights that both finish, the other numbers of all.
@@ -315,6 +314,6 @@ def plant_numbers(e2e: Evaluations, indi: Evaluations, place: int) -> dict[str, 
             "both finish": both.finished,
             "finished": row.finished,
             "runs": row.runs,
-            "crashes": crash_counts(row.laps),
+            "crashes": row.ends,
         }
     return numbers

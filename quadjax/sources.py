@@ -12,7 +12,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, read_npz
 from quadjax.core.folders import kind_of
 from quadjax.core.resources import find_policy
-from quadjax.evaluation.evaluation import evaluate
+from quadjax.evaluation.evaluate import evaluate
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.formats import FORMATS as LOG_FORMATS
@@ -123,7 +123,7 @@ def fly(path: Path, name: str, options: Options = DEFAULT) -> list[Flight]:
         seed=options.seed,
         name=str(path),
     )
-    return evaluation.shown(name)
+    return evaluation.named_flights(name)
 
 
 def load_log(

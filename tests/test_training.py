@@ -15,7 +15,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.race import build_params
 from quadjax.core.errors import InputError
 from quadjax.core.folders import MARKER
-from quadjax.evaluation.evaluation import evaluate
+from quadjax.evaluation.evaluate import evaluate
 from quadjax.export.race_source import own_race
 from quadjax.learners import loop
 from quadjax.policy.file import Policy

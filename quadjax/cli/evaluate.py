@@ -15,7 +15,7 @@ from quadjax.core.resources import PRETRAINED, policy_names, preset_names
 
 if TYPE_CHECKING:
     from quadjax.config.schema import Config as RaceConfig
-    from quadjax.evaluation.result import Evaluation
+    from quadjax.evaluation.evaluate import Evaluation
     from quadjax.policy.file import Policy
     from quadjax.race.laps import Actor
 
@@ -52,7 +52,7 @@ def evaluate(
     gates: opt.Gates | None = None,
     seconds: Annotated[float | None, Parameter(converter=opt.number(0.01, 1e4))] = None,
     runs: opt.Runs | None = None,
-    start: Literal["hover", "random", "around", "before_gate"] = "hover",
+    start: Literal["hover", "random", "around", "before_gate"] | None = None,
     seed: opt.Seed = 0,
     deterministic: opt.Flag = False,
     plant: opt.PlantConfig | None = None,
@@ -107,7 +107,7 @@ def evaluate(
         gates: Gates of a run, in place of laps.
         seconds: Of a run, in place of laps.
         runs: Number of runs (default: of the conditions, or evaluate.runs).
-        start: Start from hover or around it, from the random states of training, or before a gate.
+        start: hover (the default), around it, random (the states of training), or before_gate.
         seed: Of noise, disturbances and starts.
         deterministic: Mean actions only.
         plant: Fly on the stand-in plant of this config.
@@ -156,21 +156,21 @@ def evaluate(
     with loading():
         from quadjax.core.files import write_json
         from quadjax.evaluation.conditions import read_conditions
-        from quadjax.evaluation.evaluation import evaluate as fly
-        from quadjax.evaluation.result import joined, tabulate
+        from quadjax.evaluation.evaluate import evaluate as fly
+        from quadjax.evaluation.evaluate import joined, tabulate
 
     listed = None if conditions is None else read_conditions(conditions, only)
     for name in ("start", "deterministic"):
-        if listed is not None and listed.says(name):
+        if listed is not None and all(getattr(c, name) is not None for c in listed.conditions):
             opt.refuse(f"with --conditions {conditions}", name)
     entries = [_entry(file, config, overrides) for file in files]
     with steps() as show:
         show("compiling and simulating")
         if listed is not None:
             options = common | {"conditions": listed, "progress": show}
-            options |= {"start": start, "deterministic": deterministic}
-            flown = joined(fly(*entry, name=file, **options) for file, entry in entries)
-            text, record = flown.table(format or "markdown"), flown.to_json()
+            options |= {"start": start, "deterministic": deterministic or None}
+            flown = joined([fly(*entry, name=file, **options) for file, entry in entries])
+            text, record = flown.table(format), flown.to_json()
         else:
             (file, entry), common = entries[0], common | {"start": start}
             common |= {"name": file}

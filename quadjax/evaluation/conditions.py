@@ -47,6 +47,7 @@ Factor = Annotated[float, Field(gt=0.0, le=10.0)]
 Moment = Annotated[float, Field(ge=-1.0, le=1.0)]
 Words = Annotated[tuple[str, ...], Field(max_length=100)]
 FOLDER, DELAYS = "conditions", "delays"
+LENGTHS = ("laps", "gates", "seconds")  # of a flight: one of them
 WHOLE = ("track", "vehicle")  # sections that an override names by a file
 
 
@@ -91,15 +92,15 @@ class Condition(Section):
         from quadjax.plant.config import without_effects
 
         if self.only is not None:
-            none = without_effects(plant)
-            effects = [name for name in self.only if name != DELAYS]
-            for name in effects:
-                if name not in type(plant.effects).model_fields:
-                    allowed = ", ".join([*type(plant.effects).model_fields, DELAYS])
-                    raise InputError(f"{self.label}: only has {name!r}, allowed: {allowed}")
-            kept = {name: getattr(plant.effects, name) for name in effects}
+            none, effects = without_effects(plant), plant.effects.model_dump()
+            for name in self.only:
+                if name not in (allowed := (*effects, DELAYS)):
+                    raise InputError(
+                        f"{self.label}: only has {name!r}, allowed: {', '.join(allowed)}"
+                    )
+            on = {name: effects[name] for name in self.only if name != DELAYS}
             delay = plant.delay if DELAYS in self.only else none.delay
-            plant = none.replace(effects=none.effects.replace(**kept), delay=delay)
+            plant = none.replace(effects=none.effects.replace(**on), delay=delay)
         tree = merge_trees(plant.model_dump(), parse_overrides(self.plant))
         return build(type(plant), tree, self.label) if self.plant else plant
 
@@ -113,12 +114,13 @@ class Conditions(Section):
         False, description="a column for each condition, of the first of columns, a line per policy"
     )
     overrides: Words = Field((), description="KEY=VALUE of the race's config, of all conditions")
-    start: Start | None = Field(None, description="of the flights; null: as the option says")
-    deterministic: bool | None = Field(None, description="mean actions; null: as the option says")
+    start: Start | None = Field(None, description="of the flights; null: hover")
+    deterministic: bool | None = Field(None, description="mean actions; null: samples")
     runs: int | None = Field(None, ge=1, le=MAX_RUNS, description="flights; null: evaluate.runs")
     laps: int | None = Field(None, ge=1, le=MAX_LAPS, description="of a flight; null: the race's")
     gates: int | None = Field(None, ge=1, le=MAX_GATES, description="of a flight, in place of laps")
     seconds: float | None = Field(None, gt=0, le=1e4, description="of a flight, in place of laps")
+    seed: int = Field(0, ge=0, le=MAX_SEED, description="of starts, noise and disturbances")
     drawn: bool = Field(
         False,
         description="constants are drawn; populations of the model and the config's own "
@@ -139,14 +141,36 @@ class Conditions(Section):
         for label in labels:
             if labels.count(label) > 1:
                 raise ValueError(f"conditions: two have the label {label!r}, allowed: one")
-        if self.seconds and (self.laps or self.gates):
-            raise ValueError(f"seconds is {self.seconds}, allowed: null with laps or gates")
+        lengths = [name for name in LENGTHS if getattr(self, name) is not None]
+        if len(lengths) > 1:
+            raise ValueError(f"{lengths[1]} is not null, allowed: one of {', '.join(LENGTHS)}")
+        if self.runs is not None and self.runs % self.plants:
+            raise ValueError(f"runs is {self.runs}, allowed: multiples of plants ({self.plants})")
         return self
 
-    def says(self, name: str) -> bool:
-        """Whether the list, or each of its conditions, has a value of a key, such as "start"."""
-        each = [getattr(condition, name) for condition in self.conditions]
-        return getattr(self, name) is not None or all(value is not None for value in each)
+    def resolved(self, config: Config, **arguments: object) -> Self:
+        """The list with arguments that are not None; the config says what neither does.
+
+        Raises:
+            InputError: a number out of range, or arguments that exclude each other.
+        """
+        changes = {key: value for key, value in arguments.items() if value is not None}
+        if changes.keys() & set(LENGTHS):
+            changes = dict.fromkeys(LENGTHS) | changes
+        elif all(getattr(self, name) is None for name in LENGTHS):
+            gates = config.evaluate.gates
+            changes |= {"laps": config.evaluate.laps} if gates is None else {"gates": gates}
+        defaults = {"runs": config.evaluate.runs, "start": "hover", "deterministic": False}
+        defaults = {key: x for key, x in defaults.items() if getattr(self, key) is None}
+        return self.replace(**defaults | changes)
+
+    def under(self, condition: Condition) -> Self:
+        """The list with the start, the actions and the seed of one of its conditions."""
+        update = {"seed": self.seed + condition.seed}
+        for name in ("start", "deterministic"):
+            value = getattr(condition, name)
+            update[name] = getattr(self, name) if value is None else value
+        return self.model_copy(update=update)
 
     def of(self, config: Config) -> Iterator[tuple[Condition, Config]]:
         """Each condition, and the race in it."""
@@ -159,19 +183,21 @@ class Conditions(Section):
         for name in vehicle_model_of(base).populations:
             condition = Condition(label=name, overrides=(f"randomization={{population: {name}}}",))
             yield condition, listed.setdefault(name, condition.race(base))
-        own = config.randomization
-        if own.drawn and own.replace(tracks=None) not in [x.randomization for x in listed.values()]:
-            yield Condition(label="own"), base.replace(randomization=own)
+        drawn = config.randomization
+        if drawn.drawn and drawn.replace(tracks=None) not in [
+            race.randomization for race in listed.values()
+        ]:
+            yield Condition(label="own"), base.replace(randomization=drawn)
 
 
 def read_conditions(
     source: Conditions | Sequence[Condition] | Path | str, only: Sequence[str] | None = None
 ) -> Conditions:
-    """Conditions of a file or of ``configs/conditions``, or those that are given.
+    """Conditions of a file or of ``configs/conditions``, or those in the arguments.
 
     Args:
         source: a name, a YAML file, a list, or the whole.
-        only: labels of the conditions that are kept; None: all.
+        only: labels of some of the conditions; None: all.
 
     Raises:
         InputError: an unreadable file, an unknown key or label, or a value that is not allowed.

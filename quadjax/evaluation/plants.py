@@ -8,7 +8,7 @@ import numpy as np
 
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.evaluation.protocol import Protocol
+from quadjax.evaluation.conditions import Conditions
 from quadjax.evaluation.rows import concatenate
 from quadjax.fitting.flight_log import write_log
 from quadjax.fitting.formats import paparazzi_columns
@@ -32,7 +32,7 @@ MOTOR_COMMAND = "motor_command"  # signal of a flight on the plant: commanded ro
 
 
 def fly_plants(
-    policy: Policy, name: str, race: Config, plant: PlantConfig, protocol: Protocol
+    policy: Policy, name: str, race: Config, plant: PlantConfig, protocol: Conditions
 ) -> tuple[Laps, Callable[[], list[Flight]]]:
     """Flights from hover on drawn plants, and a function that returns the recorded ones.
 
@@ -48,26 +48,27 @@ def fly_plants(
     Raises:
         InputError: a policy that does not fit, or a protocol that the plant does not have.
     """
-    if protocol.start != "hover" or protocol.gates is not None or not protocol.plain:
+    if protocol.start != "hover" or protocol.laps is None or protocol.tracks:
         raise InputError("plant: flights are of whole laps from hover, allowed: laps, start=hover")
+    lap_count, runs = protocol.laps, (protocol.runs or 1) // protocol.plants
 
-    def fly(own: PlantConfig, number: int) -> Flights:
+    def fly(drone: PlantConfig, number: int) -> Flights:
         plan = plan_race(
             race,
-            own,
+            drone,
             policy,
             name,
-            lap_count=protocol.laps,
-            runs=protocol.runs // protocol.plants,
+            lap_count=lap_count,
+            runs=runs,
             recorded=RECORDED,
-            deterministic=protocol.deterministic,
+            deterministic=bool(protocol.deterministic),
         )
         return fly_plan(plan, protocol.seed + number)
 
     if protocol.plants == 1:
         flown = fly(plant, 0)
         return flown.laps, lambda: flights_of(flown, race, policy)
-    laps = [fly(own, number).laps for number, own in enumerate(drawn(plant, protocol.plants))]
+    laps = [fly(drone, number).laps for number, drone in enumerate(drawn(plant, protocol.plants))]
     return concatenate(laps), lambda: flights_of(fly(plant, 0), race, policy)
 
 

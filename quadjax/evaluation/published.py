@@ -1,7 +1,7 @@
 """Published times of six laps from hover (Ferede et al., arXiv 2311.16948, Table I).
 
-A published time is shown only next to flights of the same race and protocol. The rows are of
-simulated flights. The table's flights of a real drone are left out: no race here reproduces them.
+A published row is next to sampled flights of the same race and length only. The rows are of
+simulated flights. No race here reproduces the flights of a real drone.
 """
 
 import functools
@@ -18,15 +18,13 @@ from quadjax.race.laps import Laps
 from quadjax.vehicle.residual import digest, read_residual
 
 LAPS = 6
-
-
-def _row(label: str, *laps: float) -> Row:
-    times = np.array([laps])
-    return Row(label, Laps(times, ("",), times.sum(axis=1), np.inf), published=True)
-
-
-E2E = _row("E2E simulated, sampled", 2.97, 2.51, 2.56, 2.55, 2.59, 2.57)
-INDI = _row("INDI simulated, sampled", 3.20, 2.82, 2.75, 2.80, 2.81, 2.76)
+E2E, INDI = (
+    Row(label, Laps(np.array([times]), ("",), np.array([sum(times)]), np.inf))
+    for label, times in {
+        "E2E simulated, sampled": (2.97, 2.51, 2.56, 2.55, 2.59, 2.57),
+        "INDI simulated, sampled": (3.20, 2.82, 2.75, 2.80, 2.81, 2.76),
+    }.items()
+)
 PRESETS = {"motor": ("e2e_table1", E2E), "rate": ("indi_table1", INDI)}  # by the vehicle's model
 # SHA-256 of the numbers of the authors' residual, which flies the E2E row.
 RESIDUAL = "72ee30a56a78da8d792491e80bce910f08c002f554d222bbbf349cdd1ceb1eab"
@@ -39,11 +37,16 @@ def published_row(config: Config) -> Row | None:
     residual, whose numbers are compared. That of the INDI row is preset ``indi_table1``: yaw rates
     up to 2 rad/s and thrust up to 16 m/s^2.
     """
-    if config.vehicle.model not in PRESETS:
+    preset, row = PRESETS.get(config.vehicle.model, ("", None))
+    if row is None or _race(config) != _reference(preset):
         return None
-    preset, row = PRESETS[config.vehicle.model]
-    residual = RESIDUAL if row is E2E else None
-    return row if _race(config) == _reference(preset) and _residual(config) == residual else None
+    residual, file = None, config.vehicle.residual
+    if file is not None:
+        try:
+            residual = digest(read_residual(Path(file)))
+        except InputError:
+            return None
+    return row if residual == (RESIDUAL if row is E2E else None) else None
 
 
 def _race(config: Config) -> tuple[object, ...]:
@@ -67,56 +70,20 @@ def _reference(preset: str) -> tuple[object, ...]:
     return _race(load_config(preset, ["vehicle.residual=null"]))
 
 
-def _residual(config: Config) -> str | None:
-    """The digest of the residual's numbers; None without a residual, "" where its file is gone."""
-    if config.vehicle.residual is None:
-        return None
-    try:
-        return digest(read_residual(Path(config.vehicle.residual)))
-    except InputError:
-        return ""
-
-
-def published_flight(
-    config: Config, laps: int, gates: int | None = None, *, deterministic: bool, from_hover: bool
-) -> Row | None:
-    """The published flights of the same race and protocol: sampled, six laps from hover.
-
-    Args:
-        config: of the race.
-        laps: of a flight.
-        gates: of a flight in place of laps.
-        deterministic: whether the flights are of the mean action.
-        from_hover: whether they start at hover.
-    """
-    same = not deterministic and from_hover and laps == LAPS and gates is None
-    return published_row(config) if same else None
-
-
-def published_sampled(config: Config) -> Row | None:
-    """The published flights of a config's race and length, sampled from hover; None if none."""
-    race = config.evaluate
-    return published_flight(config, race.laps, race.gates, deterministic=False, from_hover=True)
-
-
 def published_total(config: Config) -> tuple[str, float] | None:
     """Label and time, s, of the published flights that a training's ``lap_total`` compares with.
 
     None for another race, and where the training is scored by flights of the mean action.
     """
-    row = published_sampled(config) if config.run.score == "sampled" else None
-    return None if row is None else (f"Table I, {row.label}", round(row.total, 2))
+    alike = (config.run.score, config.evaluate.laps, config.evaluate.gates)
+    row = published_row(config) if alike == ("sampled", LAPS, None) else None
+    return None if row is None else (f"Table I, {row.policy}", round(row.total, 2))
 
 
 def first_under(metrics: Mapping[str, np.ndarray], total: float) -> tuple[float, int] | None:
     """Seconds and environment steps of a training at its first ``lap_total`` under a time, s.
 
-    Args:
-        metrics: columns of ``metrics.csv``, (rows,) each.
-        total: s.
-
-    Returns:
-        None if no flight was under the time.
+    ``metrics`` has the columns of ``metrics.csv``, (rows,) each. None if no flight was under it.
     """
     under = np.flatnonzero(metrics["lap_total"] < total)
     if not under.size:

@@ -17,9 +17,8 @@ from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import provenance
 from quadjax.evaluation.curves import check_lengths, learning_figure
-from quadjax.evaluation.evaluation import evaluate
+from quadjax.evaluation.evaluate import Evaluation, evaluate, joined
 from quadjax.evaluation.published import first_under, published_total
-from quadjax.evaluation.result import Evaluations, joined
 from quadjax.policy.file import Policy
 from quadjax.training.folder import check_same
 from quadjax.training.result import is_finished, read_metrics, read_summary
@@ -38,7 +37,7 @@ class SeedResult:
     last: float | None  # score of the last policy, see run.score
     best: float | None  # the same, the best policy
     flying_lap: float | None  # fastest lap of the mean flights of the best policy
-    flights: Evaluations  # of the best policy, under configs/conditions/protocols.yaml
+    flights: Evaluation  # of the best policy, under configs/conditions/protocols.yaml
     memory_mib: float | None  # None where the system does not report it
 
     def to_json(self) -> dict[str, Any]:
@@ -162,7 +161,7 @@ def evaluate_seed(run: Path, runs: int, code: Collection[str] = ()) -> SeedResul
         first_steps=first_steps,
         last=summary["last_lap_total"],
         best=summary["best_lap_total"],
-        flying_lap=_lowest(flights["mean"].lap_times),
+        flying_lap=_lowest(flights["mean"].laps.lap_times),
         flights=flights,
         memory_mib=summary["peak_memory_mib"],
     )
@@ -199,4 +198,4 @@ def format_seeds(results: Sequence[SeedResult]) -> str:
     columns = [c for c in COLUMNS if reference is not None or not c[0].startswith(("<", "at"))]
     titles = [title.format(reference=_cell(reference, 2)) for title, _ in columns]
     training = table([titles, *([show(result) for _, show in columns] for result in results)])
-    return f"{training}\n\n{joined(result.flights for result in results).table()}"
+    return f"{training}\n\n{joined([result.flights for result in results]).table()}"

@@ -1,23 +1,30 @@
-"""Flights of a policy in a race, from any start, on one track or on several."""
+"""Flights of a policy in the simulator, from any start, on one track or on several."""
 
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.config.race import race_of
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.evaluation.protocol import Protocol
+from quadjax.evaluation.conditions import Condition, Conditions, damaged
 from quadjax.evaluation.rows import Speeds
+from quadjax.flights.flight import Flight, recorded_flights
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
-from quadjax.policy.pilot import Pilot
-from quadjax.race import environment, episode, laps
+from quadjax.race import environment, episode
+from quadjax.race import laps as race
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.episode import draw_start, start_gate, with_memory
 from quadjax.race.laps import Actor, Laps, LapState, Trace
+from quadjax.race.random_track import RandomTracks
 from quadjax.race.track import Track, gate, gate_count
 from quadjax.vehicle.protocol import Motion
 
@@ -26,99 +33,126 @@ VELOCITY, ROLL_PITCH, RATES = 0.5, math.pi / 9, 0.1  # half-widths: m/s, rad, ra
 MAX_LAPS = 64  # that one flight of a given duration is counted for
 
 
-@dataclasses.dataclass(frozen=True)
-class Flights:
-    """Flights before they are simulated.
+def simulate(
+    policy: Policy,
+    name: str,
+    configs: tuple[Config, Config],
+    condition: Condition,
+    protocol: Conditions,
+    actor: Actor = pilot.fly,
+) -> tuple[Laps, Speeds | None, Callable[[], list[Flight]]]:
+    """Simulate the flights of a policy under a condition.
 
-    Attributes:
-        choices: of the race, with the observation of the policy.
-        params: of the race, by the exact rules.
-        policy: with the scaling of the race.
-        protocol: start, number, length and seed.
-        tracks: of the protocol.
+    Args:
+        policy: the policy.
+        name: of its file, for messages.
+        configs: the race as modeled, whose vehicle is the onboard estimator's; and the race.
+        condition: with the damage of the drone.
+        protocol: start, number, length and seed of the flights.
         actor: computes the actions.
+
+    Returns:
+        The result; speeds, if the protocol says so; and a function that repeats the flights and
+        returns them with their states.
+
+    Raises:
+        InputError: a policy that does not fit, or a condition that a simulation does not have.
     """
+    modeled, config = configs
+    if condition.plant or condition.only is not None:
+        raise InputError(f"condition {condition.label}: changes the plant, allowed: with a plant")
+    if protocol.tracks:
+        if protocol.start != "hover":
+            raise InputError(f"start is {protocol.start}, allowed: hover on random tracks")
+        tracks = unseen_tracks(modeled, protocol.runs or 1)
+        config = config.replace(randomization=config.randomization.replace(tracks=tracks))
+    choices, params = pilot.fit_race(*race_of(config), policy, name)
+    layouts = params.tracks if protocol.tracks else None
+    ready = pilot.make_pilot(choices, params, policy, bool(protocol.deterministic))
+    params = environment.exact_rules(choices.model, params)
+    if condition.damage is not None:
+        choices = dataclasses.replace(choices, model=damaged(choices.model, condition.damage))
+    if protocol.drawn:
+        choices = dataclasses.replace(choices, randomize=True)
+    if params.estimator is not None and config.vehicle != modeled.vehicle:
+        onboard = race_of(modeled.replace(observation=config.observation))[1]
+        params = params.replace(estimator=onboard.estimator)
+    if layouts is not None:
+        params = params.replace(track=longest(layouts))
+    fly: Any = functools.partial(_fly, choices, params, ready, layouts, protocol, actor)
+    laps, speeds, _ = fly(config.vehicle.fitted_speed)
 
-    choices: Choices
-    params: RaceParams
-    policy: Pilot
-    protocol: Protocol
-    tracks: Track | None = None
-    actor: Actor = pilot.fly
+    def record() -> list[Flight]:
+        _, _, trace = fly(None, trace=True)
+        time_step = float(params.rules.time_step)
+        return recorded_flights(trace, laps, time_step, config.track.gates, choices.model)
 
-    @property
-    def time_step(self) -> float:
-        """Of the simulation, s."""
-        return float(self.params.rules.time_step)
+    return laps, speeds, record
 
-    @property
-    def length(self) -> float:
-        """Of a flight, laps."""
-        return laps.race_length(self.params.track, self.protocol.laps, self.protocol.gates)
 
-    @property
-    def count(self) -> int:
-        """Number of laps that are counted, the last of which may be a part of one."""
-        return math.ceil(self.length) if self.protocol.seconds is None else MAX_LAPS
+def _fly(
+    choices: Choices,
+    params: RaceParams,
+    policy: pilot.Pilot,
+    tracks: Track | None,
+    protocol: Conditions,
+    actor: Actor,
+    fitted_speed: float | None,
+    trace: bool = False,
+) -> tuple[Laps, Speeds | None, Trace | None]:
+    length = race.race_length(params.track, protocol.laps or 1, protocol.gates)
+    limit, count = protocol.seconds, MAX_LAPS
+    if limit is None:
+        limit, count = race.time_limit(params.track, length), math.ceil(length)
+    time_step = float(params.rules.time_step)
+    steps, last = round(limit / time_step), race.last_gate(params.track, protocol.gates)
+    key, noise = jax.random.split(jax.random.key(protocol.seed))
+    states, speeds, recorded = _starts(choices, params, key, tracks, protocol), None, None
+    if protocol.speeds and not trace:
+        drones, above = (race.begin(states, count), noise), fitted_speed or math.inf
+        flown, measured = fly_with_speeds(
+            choices, actor, steps, last, params, policy, drones, above
+        )
+        speeds = Speeds(*(np.asarray(x, np.float64) for x in measured))
+    else:
+        flown, recorded = race.fly_race(
+            choices, actor, count, steps, trace, params, policy, states, noise, last
+        )
+    laps = race.laps_of(choices, flown, time_step, limit)
+    gates = (protocol.gates or 0) % gate_count(params.track)
+    return dataclasses.replace(laps, last_gates=gates), speeds, recorded
 
-    @property
-    def limit(self) -> float:
-        """Longest duration of a flight, s."""
-        seconds = self.protocol.seconds
-        return laps.time_limit(self.params.track, self.length) if seconds is None else seconds
 
-    @property
-    def last(self) -> int | None:
-        """Number of gates after which a flight ends within a lap."""
-        return laps.last_gate(self.params.track, self.protocol.gates)
-
-    def states(self, key: jax.Array) -> RaceState:
-        """Starts, batched along the last axis.
-
-        At hover before the first gate of the race ("hover"; on each of ``tracks``), at hover around
-        that place ("around"), at the random starts of training ("random"), or 1 m before a random
-        gate ("before_gate").
-        """
-        choices, params, runs = self.choices, self.params, self.protocol.runs
-        if self.tracks is not None:
-            hover = functools.partial(hover_on, choices, params)
-            return jax.vmap(hover, out_axes=-1)(self.tracks)
-        if self.protocol.start == "before_gate":
-            begin = jax.jit(starts_before_gate, static_argnums=(0, 3))
-            return begin(choices, params, key, runs)
-        if self.protocol.start == "around":
-            begin = jax.jit(laps.starting_states, static_argnums=(0, 3, 4, 5))
-            return begin(choices, params, key, runs, True, True)
-        return laps.starting_states(choices, params, key, runs, self.protocol.start == "hover")
-
-    def fly(self, trace: bool = False) -> tuple[Laps, Trace | None]:
-        """Simulate; with ``trace`` the states are recorded."""
-        key, noise = jax.random.split(jax.random.key(self.protocol.seed))
-        steps = round(self.limit / self.time_step)
-        settings = (self.choices, self.actor, self.count, steps, trace, self.params, self.policy)
-        race, kept = laps.fly_race(*settings, self.states(key), noise, self.last)
-        return self._laps(race), kept
-
-    def fly_with_speeds(self, limit: float | None) -> tuple[Laps, Speeds]:
-        """Simulate, with the time above a speed ``limit``, m/s."""
-        key, noise = jax.random.split(jax.random.key(self.protocol.seed))
-        drones = laps.begin(self.states(key), self.count), noise
-        settings = (self.choices, self.actor, round(self.limit / self.time_step), self.last)
-        numbers = (self.params, self.policy, drones, math.inf if limit is None else limit)
-        race, speeds = fly_with_speeds(*settings, *numbers)
-        return self._laps(race), Speeds(*(np.asarray(x, np.float64) for x in speeds))
-
-    def _laps(self, race: LapState) -> Laps:
-        result = laps.laps_of(self.choices, race, self.time_step, self.limit)
-        gates = (self.protocol.gates or 0) % gate_count(self.params.track)
-        return dataclasses.replace(result, last_gates=gates)
+def _starts(
+    choices: Choices,
+    params: RaceParams,
+    key: jax.Array,
+    tracks: Track | None,
+    protocol: Conditions,
+) -> RaceState:
+    runs, start = protocol.runs or 1, protocol.start
+    if tracks is not None:
+        return jax.vmap(functools.partial(hover_on, choices, params), out_axes=-1)(tracks)
+    if start == "before_gate":
+        begin = jax.jit(starts_before_gate, static_argnums=(0, 3))
+        return begin(choices, params, key, runs)
+    if start == "around":
+        begin = jax.jit(race.starting_states, static_argnums=(0, 3, 4, 5))
+        return begin(choices, params, key, runs, True, True)
+    return race.starting_states(choices, params, key, runs, start == "hover")
 
 
 def longest(tracks: Track) -> Track:
     """The longest of several tracks, which are batched along the first axis."""
     count = jax.tree.leaves(tracks)[0].shape[0]
     each = [jax.tree.map(lambda x, i=i: x[i], tracks) for i in range(count)]
-    return max(each, key=laps.lap_length)
+    return max(each, key=race.lap_length)
+
+
+def unseen_tracks(config: Config, count: int) -> RandomTracks:
+    """Random tracks with the seeds after those of the training (``randomization.tracks``)."""
+    trained = config.randomization.tracks or RandomTracks()
+    return trained.replace(seed=trained.seed + trained.count, count=count)
 
 
 def hover_on(choices: Choices, params: RaceParams, track: Track) -> RaceState:
@@ -167,43 +201,31 @@ def fly_with_speeds(
     last: int | None,
     params: RaceParams,
     policy: object,
-    drones: laps.Carry,
+    drones: race.Carry,
     limit: float,
 ) -> tuple[LapState, tuple[jax.Array, jax.Array, jax.Array]]:
-    """Fly given drones for at most ``steps`` steps.
+    """Fly drones for at most ``steps`` steps.
 
     Returns:
         The race, and (runs,) each the time until the first gate (0 before), s, the highest speed,
         m/s, and the time above ``limit``, m/s, in s.
     """
-    one, dt = laps.stepper(choices, actor, params, policy, last), params.rules.time_step
-
-    def going_on(carry: tuple) -> jax.Array:
-        return (carry[0] < steps) & ~jnp.all(carry[1][0].over)
+    one, dt = race.stepper(choices, actor, params, policy, last), params.rules.time_step
 
     def step(carry: tuple) -> tuple:
         count, (before, key), (first, highest, above) = carry
-        (race, key), _ = one((before, key))
-        passed = (first == 0.0) & (race.state.gates_passed > 0)
-        now = safe_norm(race.state.drone.velocity)
-        clock = jnp.asarray(race.state.step, jnp.result_type(dt)) * dt
+        (after, key), _ = one((before, key))
+        passed = (first == 0.0) & (after.state.gates_passed > 0)
+        now = safe_norm(after.state.drone.velocity)
+        clock = jnp.asarray(after.state.step, jnp.result_type(dt)) * dt
         first = jnp.where(passed, clock, first)
         fast = (now > limit) & ~before.over
-        return count + 1, (race, key), (first, jnp.maximum(highest, now), above + dt * fast)
+        return count + 1, (after, key), (first, jnp.maximum(highest, now), above + dt * fast)
 
     none = jnp.zeros(drones[0].over.shape)
-    _, (race, _), speeds = jax.lax.while_loop(going_on, step, (0, drones, (none, none, none)))
-    return race, speeds
-
-
-def prepare(
-    race: tuple[Choices, RaceParams], policy: Policy, name: str, deterministic: bool
-) -> tuple[Choices, RaceParams, Pilot]:
-    """A race by the exact rules with the observation of a policy, and the policy in it.
-
-    Raises:
-        InputError: the policy does not fit the race.
-    """
-    choices, params = pilot.fit_race(*race, policy, name)
-    own = pilot.make_pilot(choices, params, policy, deterministic)
-    return choices, environment.exact_rules(choices.model, params), own
+    _, (flown, _), speeds = jax.lax.while_loop(
+        lambda carry: (carry[0] < steps) & ~jnp.all(carry[1][0].over),
+        step,
+        (0, drones, (none, none, none)),
+    )
+    return flown, speeds

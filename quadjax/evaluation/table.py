@@ -2,7 +2,8 @@
 
 import dataclasses
 import io
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -13,14 +14,13 @@ from rich.text import Text
 
 from quadjax.core import markdown
 from quadjax.core.errors import InputError
-from quadjax.evaluation.rows import Row, crash_counts, describe_crashes, interval
+from quadjax.evaluation.rows import Row, describe_crashes, interval
 from quadjax.flights.flight import Flight, fastest
 
 Format = Literal["text", "markdown", "latex"]
 WIDTH = 80  # columns of a terminal
 WIDEST_LABEL = 40  # columns of the first column as text; longer labels are wrapped
 LISTED = 10  # flights of a group that have a line each
-LAPS_NOTE = "seconds; means over the runs that finished"
 SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 
 
@@ -55,30 +55,28 @@ class Table:
     def _text(self) -> str:
         """Columns that do not fit continue in another block."""
         widths = [max(map(len, column)) for column in zip(self.titles, *self.rows, strict=True)]
-        label, columns, blocks = min(widths[0], WIDEST_LABEL), list(range(1, len(widths))), []
-        while columns:
-            count, used = 1, label + 1 + widths[columns[0]]
-            while count < len(columns) and used + 1 + widths[columns[count]] <= WIDTH:
-                used += 1 + widths[columns[count]]
-                count += 1
-            blocks.append(self._block(columns[:count], label))
-            columns = columns[count:]
-        return "\n".join([*blocks, *self.notes])
+        widths[0] = min(widths[0], WIDEST_LABEL)
+        blocks: list[list[int]] = [[]]
+        for column in range(1, len(widths)):
+            used = widths[0] + sum(1 + widths[other] for other in [*blocks[-1], column])
+            if used > WIDTH and blocks[-1]:
+                blocks.append([])
+            blocks[-1].append(column)
+        return "\n".join([*(self._block(block, widths[0]) for block in blocks), *self.notes])
 
     def _block(self, columns: Sequence[int], label: int) -> str:
-        shown = RichTable(box=box.SIMPLE_HEAD, padding=0, show_edge=False, pad_edge=False)
-        shown.add_column(Text(self.titles[0]), width=label)
+        grid = RichTable(box=box.SIMPLE_HEAD, padding=0, show_edge=False, pad_edge=False)
+        grid.add_column(Text(self.titles[0]), width=label)
         for column in columns:
-            shown.add_column(Text(self.titles[column]), justify="right", no_wrap=True)
+            grid.add_column(Text(self.titles[column]), justify="right", no_wrap=True)
         for index, row in enumerate(self.rows):
             if index in self.headings:
-                shown.add_section()
-                shown.add_row(Text(self.headings[index]))
+                grid.add_section()
+                grid.add_row(Text(self.headings[index]))
             mark = "*" if index in self.bold else ""
-            cells = [row[column] for column in columns]
-            shown.add_row(Text(row[0]), *(Text(f"{mark}{cell}{mark}") for cell in cells))
+            grid.add_row(Text(row[0]), *(Text(f"{mark}{row[c]}{mark}") for c in columns))
         stream = io.StringIO()
-        Console(file=stream, width=10 * WIDTH, color_system=None).print(shown)
+        Console(file=stream, width=10 * WIDTH, color_system=None).print(grid)
         return "\n".join(line.rstrip() for line in stream.getvalue().rstrip().splitlines())
 
     def _markdown(self) -> str:
@@ -111,138 +109,12 @@ def _line(cells: Sequence[str], bold: bool = False) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Text as LaTeX prints it."""
     return "".join(SPECIAL.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)
 
 
 def number(value: float, digits: int = 2, unit: str = "") -> str:
     """A number as text; "-" where there is none."""
     return f"{value:.{digits}f}{unit}" if np.isfinite(value) else "-"
-
-
-def lap_table(rows: Sequence[Row]) -> Table:
-    """Mean laps of each row, total, best and finishers; published rows are below the others.
-
-    The notes say how runs ended early.
-    """
-    ordered = sorted(rows, key=lambda row: row.published)
-    count = max(len(row.lap_means) for row in rows)
-    gates = next((row.laps.last_gates for row in rows if row.laps.last_gates), 0)
-    titles = [f"lap {lap + 1}" for lap in range(count)]
-    if gates:
-        titles[-1] = counted(gates, "gate")
-    lines = []
-    for row in ordered:
-        laps = [number(time) for time in row.lap_means] + ["-"] * (count - len(row.lap_means))
-        done = ["-", "-"] if row.published else [number(row.best), f"{row.finished}/{row.runs}"]
-        lines.append([row.label, *laps, number(row.total), *done])
-    first = sum(not row.published for row in rows)
-    headings = {first: "published"} if first < len(rows) else {}
-    notes = [LAPS_NOTE]
-    for row in rows:
-        notes += [f"{row.label}: {line}" for line in describe_crashes(row.laps).splitlines()]
-    return Table(["", *titles, "total", "best", "finished"], lines, headings, notes=notes)
-
-
-def flights_table(groups: Mapping[str, Sequence[Flight]]) -> Table:
-    """Laps and total of each flight by group; the fastest flight of its group stands out.
-
-    A group of many flights has a line for its fastest and for its slowest one. The last line of a
-    group is the mean of the flights that finish.
-    """
-    laps = max(len(f.lap_times) for flights in groups.values() for f in flights)
-    rows: list[list[str]] = []
-    headings, bold = {}, set()
-    for group, flights in groups.items():
-        headings[len(rows)] = group
-        done = [f for f in flights if np.isfinite(f.total) and len(f.lap_times) == laps]
-        best, shown = fastest(flights), list(flights)
-        if len(flights) > LISTED:
-            shown = [best, max(done, key=lambda f: f.total)] if len(done) > 1 else [best]
-        for flight in shown:
-            reason = f" ({flight.crash})" if flight.crash else ""
-            times = [number(x) for x in flight.lap_times] + ["-"] * (laps - len(flight.lap_times))
-            whole = len(flight.lap_times) == laps and np.isfinite(flight.total)
-            if flight is best and len(flights) > 1 and whole:
-                bold.add(len(rows))
-            total = number(flight.total) if whole else "-"
-            rows.append([f"  {flight.name}{reason}", *times, total])
-        if len(flights) > 1 and done:
-            means = np.mean([[*f.lap_times, f.total] for f in done], axis=0)
-            label = f"  mean of {len(done)}"
-            label += "" if len(done) == len(flights) else f" ({len(done)}/{len(flights)} finished)"
-            rows.append([label, *map(number, means)])
-    titles = ["", *(f"lap {lap + 1}" for lap in range(laps)), "total"]
-    note = "seconds; *fastest flight of its group*"
-    return Table(titles, rows, headings, frozenset(bold), [note])
-
-
-def _crashed(row: Row) -> str:
-    share = f"{100 * row.crashed / row.runs:.3g}%"
-    if row.without_lap:
-        share += f" and {100 * row.without_lap / row.runs:.3g}% without a lap"
-    return f"{share} / {number(row.lap, 3, ' s')}"
-
-
-def _above(row: Row) -> str:
-    return "-" if row.speed_limit is None else number(row.seconds_above, 2, " s")
-
-
-def _ended(row: Row) -> str:
-    counts = crash_counts(row.laps)
-    return ", ".join(f"{count} {reason}" for reason, count in counts.items()) or "-"
-
-
-COLUMNS = {  # of a table of conditions, by name: title and cell
-    "crashed": ("crashed / median lap", _crashed),
-    "finished": ("finished", lambda row: f"{row.finished} of {row.runs}"),
-    "total": ("total", lambda row: f"{number(row.total)} ({row.finished})"),
-    "plants": ("total, 95% over the plants", lambda row: interval_text(row.plant_totals)),
-    "median": ("median", lambda row: number(row.median_total, 2, " s")),
-    "lap": ("median lap", lambda row: number(row.median_lap, 3, " s")),
-    "between": ("first to last gate", lambda row: number(row.between, 2, " s")),
-    "speed": ("highest speed", lambda row: number(row.highest_speed, 1, " m/s")),
-    "above": ("above the fitted speed", _above),
-    "ended": ("not finished", _ended),
-}
-
-
-def condition_table(rows: Sequence[Row], title: str, columns: Sequence[str]) -> Table:
-    """A line for each row: policy, where there are several, condition, and columns by name."""
-    several = len({row.policy for row in rows}) > 1
-    titles = [*(["policy"] if several else []), title, *(COLUMNS[name][0] for name in columns)]
-    cells = [
-        [*([row.policy] if several else []), row.condition, *(COLUMNS[c][1](row) for c in columns)]
-        for row in rows
-    ]
-    return Table(titles, cells)
-
-
-def policy_table(rows: Sequence[Row], column: str) -> Table:
-    """A line for each policy and a column for each condition, with cells of one column.
-
-    A published row is below the last policy of its race, in the column of its condition.
-    """
-    conditions = list(dict.fromkeys(row.condition for row in rows))
-    policies = list(dict.fromkeys(row.policy for row in rows))
-    cells = {(row.policy, row.condition): COLUMNS[column][1](row) for row in rows}
-    beside = {row.policy: (row.beside, row.condition) for row in rows if row.beside}
-    lines = []
-    for policy, following in zip(policies, [*policies[1:], ""], strict=True):
-        lines.append([policy, *(cells.get((policy, each), "-") for each in conditions)])
-        if policy in beside and beside.get(following) != beside[policy]:
-            published, place = beside[policy]
-            total = [number(published.total) if each == place else "" for each in conditions]
-            lines.append([f"published {published.policy}", *total])
-    runs = rows[0].runs
-    note = f"Seconds for all laps, mean of the flights that finish; in brackets, of {runs} flights."
-    return Table(["policy", *conditions], lines, notes=[note] if column == "total" else [])
-
-
-def flight_title(flight: Flight) -> str:
-    """Laps, time and crash of a flight as a short text."""
-    title = f"{counted(len(flight.lap_ends), 'lap')} in {flight.time[-1]:.2f} s"
-    return f"{title}, then {flight.crash}" if flight.crash else title
 
 
 def counted(count: int, noun: str) -> str:
@@ -253,7 +125,121 @@ def counted(count: int, noun: str) -> str:
 def interval_text(values: np.ndarray, sign: bool = False) -> str:
     """Mean and half the width of the 95% interval of values (n,) as text; see ``interval``."""
     mean, width = interval(values)
-    if not np.isfinite(mean):
-        return "-"
-    text = f"{mean:+.2f}" if sign else f"{mean:.2f}"
+    text = f"{mean:+.2f}" if sign else number(mean)
     return f"{text} ± {width:.2f}" if np.isfinite(width) else text
+
+
+def lap_table(rows: Sequence[Row]) -> Table:
+    """Mean laps of each row, total, best and finishers, then the published row, if it is one.
+
+    The notes say how runs ended early.
+    """
+    published = list(dict.fromkeys(row.published for row in rows if row.published))
+    published = published if len(published) == 1 else []
+    count = max(len(row.lap_means) for row in [*rows, *published])
+    titles = [f"lap {lap + 1}" for lap in range(count)]
+    if gates := next((row.laps.last_gates for row in rows if row.laps.last_gates), 0):
+        titles[-1] = counted(gates, "gate")
+    lines, notes = [], ["seconds; means over the runs that finished"]
+    for row in [*rows, *published]:
+        label = ", ".join(text for text in (row.policy, row.condition) if text)
+        done = [number(row.numbers["best"]), f"{row.finished}/{row.runs}"]
+        last = ["-", "-"] if row in published else done
+        lines.append([label, *_laps(row.lap_means, count), number(row.total), *last])
+        notes += [f"{label}: {line}" for line in describe_crashes(row.laps)]
+    headings = {len(rows): "published"} if published else {}
+    return Table(["", *titles, "total", "best", "finished"], lines, headings, notes=notes)
+
+
+def flights_table(groups: Mapping[str, Sequence[Flight]]) -> Table:
+    """Laps and total of each flight by group; the fastest flight of its group stands out.
+
+    A group of many flights has a line for its fastest and for its slowest one. The last line of a
+    group is the mean of the flights that finish.
+    """
+    count = max(len(flight.lap_times) for flights in groups.values() for flight in flights)
+    rows: list[list[str]] = []
+    headings, bold = {}, set()
+    for group, flights in groups.items():
+        headings[len(rows)] = group
+        done = [f for f in flights if np.isfinite(f.total) and len(f.lap_times) == count]
+        best, listed = fastest(flights), flights
+        if len(flights) > LISTED:
+            listed = [best, max(done, key=lambda f: f.total)] if len(done) > 1 else [best]
+        for flight in listed:
+            total = flight.total if len(flight.lap_times) == count else math.nan
+            if flight is best and len(flights) > 1 and np.isfinite(total):
+                bold.add(len(rows))
+            reason = f" ({flight.crash})" if flight.crash else ""
+            laps = _laps(flight.lap_times, count)
+            rows.append([f"  {flight.name}{reason}", *laps, number(total)])
+        if len(flights) > 1 and done:
+            share = f" ({len(done)}/{len(flights)} finished)" if len(done) < len(flights) else ""
+            means = np.mean([[*flight.lap_times, flight.total] for flight in done], axis=0)
+            rows.append([f"  mean of {len(done)}{share}", *map(number, means)])
+    titles = ["", *(f"lap {lap + 1}" for lap in range(count)), "total"]
+    note = "seconds; *fastest flight of its group*"
+    return Table(titles, rows, headings, frozenset(bold), [note])
+
+
+def _laps(times: Sequence[float] | np.ndarray, count: int) -> list[str]:
+    return [number(time) for time in times] + ["-"] * (count - len(times))
+
+
+def _crashed(row: Row) -> str:
+    share = f"{100 * row.crashed / row.runs:.3g}%"
+    if row.without_lap:
+        share += f" and {100 * row.without_lap / row.runs:.3g}% without a lap"
+    return f"{share} / {number(row.numbers['lap'], 3, ' s')}"
+
+
+def _number(name: str, digits: int, unit: str) -> Callable[[Row], str]:
+    return lambda row: number(row.numbers.get(name, math.nan), digits, unit)
+
+
+COLUMNS: dict[str, tuple[str, Callable[[Row], str]]] = {  # of conditions: title and cell
+    "crashed": ("crashed / median lap", _crashed),
+    "finished": ("finished", lambda row: f"{row.finished} of {row.runs}"),
+    "total": ("total", lambda row: f"{number(row.total)} ({row.finished})"),
+    "plants": ("total, 95% over the plants", lambda row: interval_text(row.plant_totals)),
+    "median": ("median", _number("time", 2, " s")),
+    "lap": ("median lap", _number("median_lap", 3, " s")),
+    "between": ("first to last gate", _number("between", 2, " s")),
+    "speed": ("highest speed", _number("highest_speed", 1, " m/s")),
+    "above": ("above the fitted speed", _number("seconds_above", 2, " s")),
+    "ended": (
+        "not finished",
+        lambda row: ", ".join(f"{count} {reason}" for reason, count in row.ends.items()) or "-",
+    ),
+}
+
+
+def condition_table(rows: Sequence[Row], title: str, columns: Sequence[str]) -> Table:
+    """A line for each row: policy, where there are several, condition, and columns by name."""
+    several = len({row.policy for row in rows}) > 1
+    titles = [*(["policy"] if several else []), title, *(COLUMNS[name][0] for name in columns)]
+    lines = [[row.condition, *(COLUMNS[name][1](row) for name in columns)] for row in rows]
+    if several:
+        lines = [[row.policy, *line] for row, line in zip(rows, lines, strict=True)]
+    return Table(titles, lines)
+
+
+def policy_table(rows: Sequence[Row], column: str) -> Table:
+    """A line for each policy and a column for each condition, with cells of one column.
+
+    A published row is below the last policy of its race, in the column of its condition.
+    """
+    conditions = list(dict.fromkeys(row.condition for row in rows))
+    policies = list(dict.fromkeys(row.policy for row in rows))
+    cells = {(row.policy, row.condition): COLUMNS[column][1](row) for row in rows}
+    published = {row.policy: (row.published, row.condition) for row in rows if row.published}
+    lines = []
+    for policy, following in zip(policies, [*policies[1:], ""], strict=True):
+        lines.append([policy, *(cells.get((policy, label), "-") for label in conditions)])
+        if policy in published and published.get(following) != published[policy]:
+            row, place = published[policy]
+            total = [number(row.total) if label == place else "" for label in conditions]
+            lines.append([f"published {row.policy}", *total])
+    runs = rows[0].runs
+    note = f"Seconds for all laps, mean of the flights that finish; in brackets, of {runs} flights."
+    return Table(["policy", *conditions], lines, notes=[note] if column == "total" else [])

@@ -3,9 +3,8 @@
 from quadjax.core.files import write_json
 from quadjax.core.plotting import save_figure
 from quadjax.evaluation.curves import training_figure
-from quadjax.evaluation.evaluation import evaluate
+from quadjax.evaluation.evaluate import Evaluation, evaluate, tabulate
 from quadjax.evaluation.published import first_under, published_total
-from quadjax.evaluation.result import Evaluation, tabulate
 from quadjax.training.result import Run
 from quadjax.training.score import no_lap
 

@@ -50,7 +50,7 @@ def train_and_fly(
     sweep: Sweep, params: Params, index: int, seed: int, folder: Path, enough: Enough
 ) -> tuple[float, float] | None:
     """Train one seed, from its checkpoint if there is one, and evaluate its policy: ``Measure``."""
-    from quadjax.evaluation.evaluation import evaluate
+    from quadjax.evaluation.evaluate import evaluate
     from quadjax.learners.loop import NonFiniteError
     from quadjax.race.laps import race_length, time_limit
     from quadjax.training.run import train

@@ -13,8 +13,8 @@ from quadjax import compare
 from quadjax.config.loading import load_config
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.evaluation.conditions import read_conditions
+from quadjax.evaluation.evaluate import Evaluation
 from quadjax.evaluation.plants import drawn
-from quadjax.evaluation.result import Evaluations
 from quadjax.evaluation.rows import Row, concatenate
 from quadjax.fitting.signals import first_order
 from quadjax.plant.config import PlantConfig
@@ -80,7 +80,7 @@ def test_the_lead_is_of_the_flights_that_both_finish():
 
 def on_plants(*plants):
     row = Row("", concatenate([laps(*each) for each in plants]), "all effects", len(plants))
-    return Evaluations(LISTED, None, (SimpleNamespace(row=row),))
+    return Evaluation((row,), LISTED, {}, ())
 
 
 def test_the_table_of_plants_has_both_and_the_lead():

@@ -16,9 +16,8 @@ from quadjax.core.resources import preset_names
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.evaluation import published
 from quadjax.evaluation.conditions import Condition, Conditions, Damaged, damaged, read_conditions
-from quadjax.evaluation.protocol import Protocol
 from quadjax.evaluation.rows import Row, Speeds
-from quadjax.evaluation.simulate import fly_with_speeds, start_before_gate
+from quadjax.evaluation.simulate import fly_with_speeds, start_before_gate, unseen_tracks
 from quadjax.evaluation.table import condition_table, policy_table
 from quadjax.plant.config import PlantConfig
 from quadjax.race.laps import begin, fly_race, starting_states
@@ -52,7 +51,7 @@ def test_shipped_lists_are_valid(name):
         ("conditions: [{label: a}, {label: a}]", "two have the label 'a'"),
         ("conditions: [{label: a, thrust: 0.9}]", "unknown key conditions[0].thrust"),
         ("columns: [laps]\nconditions: [{label: a}]", "columns has 'laps', allowed: crashed"),
-        ("laps: 2\nseconds: 3\nconditions: [{label: a}]", "allowed: null with laps or gates"),
+        ("laps: 2\nseconds: 3\nconditions: [{label: a}]", "allowed: one of laps, gates, seconds"),
         (
             "conditions: [{label: a, overrides: [vehicle.mass=1]}]",
             "a: Vehicle: unknown key mass",
@@ -71,7 +70,7 @@ def test_a_list_that_cannot_be_used_is_one_line_and_status_2(tmp_path, capsys, t
     ("options", "message"),
     [
         (["--study", "spread", "--figure", "x.png"], "--figure has no effect with --conditions"),
-        (["--study", "spread", "--start", "hover"], "--start has no effect with --conditions"),
+        (["--study", "protocols", "--deterministic"], "--deterministic has no effect with"),
         (["--conditions", "nap"], "nap: no such preset or file"),
         (["--conditions", "damage", "--only", "fog"], "'fog', allowed: as modeled"),
         (["--only", "fog"], "--only has no effect without --conditions"),
@@ -120,18 +119,17 @@ def test_each_condition_of_the_plant_changes_one_thing():
 
 
 def test_arguments_come_before_the_list_and_the_list_before_the_config():
-    none = dict.fromkeys(("laps", "gates", "seconds"))
     listed = read_conditions("spread")
-    protocol = Protocol.of(RACE, listed, none, seed=3)
+    protocol = listed.resolved(RACE, seed=3)
     assert (protocol.seconds, protocol.runs, protocol.start) == (12, 1000, "before_gate")
-    protocol = Protocol.of(RACE, listed, none | {"laps": 2}, 7)
+    protocol = listed.resolved(RACE, laps=2, runs=7, start="hover")
     assert (protocol.seconds, protocol.laps, protocol.runs) == (None, 2, 7)
-    listed = read_conditions("random-tracks")
-    tracks = Protocol.of(RACE, listed, none, 9).tracks
+    assert (protocol.start, protocol.deterministic) == ("hover", True)
+    tracks = unseen_tracks(RACE, 9)
     assert (tracks.seed, tracks.count) == (256, 9)
-    sampled = Protocol.of(RACE, read_conditions("protocols"), none, seed=5)
-    last = sampled.under(read_conditions("protocols").conditions[-1])
-    assert (last.start, last.seed, last.deterministic) == ("random", 7, False)
+    listed = read_conditions("protocols")
+    last = listed.resolved(RACE, seed=5, start="around").under(listed.conditions[-1])
+    assert (last.start, last.seed, last.deterministic, last.laps) == ("random", 7, False, 6)
 
 
 def rates_and_force(model):
@@ -226,7 +224,7 @@ def test_a_table_of_races_has_a_row_for_each_condition():
 
 def test_a_published_time_is_below_the_policies_of_its_race():
     rows = [
-        Row(name, flights(2.0, 2.2), condition, beside=beside)
+        Row(name, flights(2.0, 2.2), condition, published=beside)
         for name, row in (("one", published.INDI), ("two", published.INDI), ("three", None))
         for condition, beside in (("mean", None), ("sampled", row))
     ]

@@ -10,12 +10,10 @@ from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
 from quadjax.evaluation import published
-from quadjax.evaluation.evaluation import evaluate
+from quadjax.evaluation.evaluate import evaluate
 from quadjax.race.laps import starting_states
 from quadjax.vehicle.residual import digest, read_residual, write_residual
 from tests.evaluation.support import random_policy
-
-SAMPLED = {"deterministic": False, "from_hover": True}
 
 
 @pytest.fixture
@@ -35,15 +33,15 @@ def indi(*overrides):
     return load_config("indi_table1", overrides)
 
 
-def total(config, laps=6, gates=None, **how):
-    row = published.published_flight(config, laps, gates, **SAMPLED | how)
+def total(config):
+    row = published.published_row(config)
     return row and round(row.total, 2)
 
 
 def test_each_row_has_the_race_of_its_preset(residual):
     assert (total(e2e(residual)), total(indi())) == (15.75, 17.14)
     for row in (published.E2E, published.INDI):
-        assert sum(row.lap_means) == pytest.approx(row.total) and row.published
+        assert sum(row.lap_means) == pytest.approx(row.total)
 
 
 OTHER_E2E = [
@@ -107,13 +105,23 @@ def test_training_does_not_matter_to_timed_flights(residual):
     jax.tree.map(np.testing.assert_array_equal, drones(*plain), drones(*moved))
 
 
-def test_another_protocol_has_no_published_time():
-    assert total(indi(), deterministic=True) is None
-    assert total(indi(), from_hover=False) is None
-    assert total(indi(), laps=5) is None
-    assert total(indi(), gates=24) is None
-    assert published.published_sampled(indi("evaluate.laps=5")) is None
-    assert published.published_sampled(indi()).label == "INDI simulated, sampled"
+@pytest.mark.parametrize(
+    ("protocol", "beside"),
+    [
+        ({}, True),
+        ({"deterministic": True}, False),
+        ({"start": "random"}, False),
+        ({"laps": 5}, False),
+        ({"gates": 24}, False),
+    ],
+)
+def test_another_protocol_has_no_published_time(protocol, beside, monkeypatch):
+    """The flights are not simulated: only their row matters."""
+    laps = published.INDI.laps
+    monkeypatch.setattr("quadjax.evaluation.evaluate.simulate", lambda *_: (laps, None, list))
+    result = evaluate(random_policy("rate"), indi(), **protocol)
+    assert (result.row.published is published.INDI) == beside
+    assert ("published" in result.table()) == beside
 
 
 def test_training_compares_sampled_scores_only():

@@ -54,7 +54,7 @@ def flown(tmp_path_factory):
     config = quadjax.load("e2e")
     policy = Policy.load(PRETRAINED / f"{POLICY}.npz")
     evaluation = quadjax.evaluate(policy, config, runs=1, laps=2, deterministic=True)
-    _log(folder / "flight.csv", evaluation.flights[0], evaluation.time_step)
+    _log(folder / "flight.csv", evaluation.flights[0], config.rules.time_step)
     return folder / "flight.csv", evaluation
 
 

@@ -1,14 +1,12 @@
 """Several seeds of one config, trained, flown and tabulated."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.evaluation import seeds
 from quadjax.evaluation.conditions import read_conditions
-from quadjax.evaluation.result import Evaluations
+from quadjax.evaluation.evaluate import Evaluation
 from quadjax.evaluation.rows import Row
 from quadjax.evaluation.seeds import configs_of, train_once
 from tests.evaluation.test_laps import flights
@@ -40,7 +38,7 @@ def test_the_table_names_the_published_time():
     numbers = {field: 1.0 for field in seeds.SeedResult.__dataclass_fields__}
     rows = (Row("seed 2", flights(2.0), "mean"),)
     listed = read_conditions("protocols")
-    flown = Evaluations(listed, None, tuple(SimpleNamespace(row=row) for row in rows))
+    flown = Evaluation(rows, listed, {"policy": {"file": "a"}}, (), True)
     given = {"reference": 17.14, "seed": 2, "last": None, "flights": flown}
     result = seeds.SeedResult(**numbers | given)
     head, _, row = seeds.format_seeds([result]).split("\n\n")[0].splitlines()

@@ -52,7 +52,7 @@ def test_a_trial_is_judged_on_drawn_plants(tmp_path, monkeypatch):
         laps = Laps(times, ends, np.array([5.0, 1.0] * 3), 8.0)
         return SimpleNamespace(laps=laps, finished=laps.finished)
 
-    monkeypatch.setattr("quadjax.evaluation.evaluation.evaluate", fly)
+    monkeypatch.setattr("quadjax.evaluation.evaluate.evaluate", fly)
     plant = {"seeds": 1, "runs": 6, "plant": "standin", "plants": 2}
     sweep, directory, _ = open_small(tmp_path, objective=plant)
     params = {CLIP: 0.2, RATE: 1e-3}

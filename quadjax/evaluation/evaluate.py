@@ -1,0 +1,354 @@
+"""Timed flights of a policy by the rules of a race, under one or several conditions."""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from quadjax.config.checks import with_body
+from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
+from quadjax.core.compilation_cache import enable_compilation_cache
+from quadjax.core.errors import InputError
+from quadjax.core.provenance import provenance
+from quadjax.evaluation import charts, figures
+from quadjax.evaluation.conditions import Condition, Conditions, Start, read_conditions
+from quadjax.evaluation.plants import fly_plants
+from quadjax.evaluation.published import LAPS, published_row
+from quadjax.evaluation.rows import Row
+from quadjax.evaluation.simulate import simulate, unseen_tracks
+from quadjax.evaluation.table import Format, condition_table, counted, lap_table, policy_table
+from quadjax.flights.files import lap_times, save
+from quadjax.flights.flight import Flight, distinct, fastest
+from quadjax.plant.config import PlantConfig, load_plant_config
+from quadjax.policy import pilot
+from quadjax.policy.file import Policy
+from quadjax.race.laps import Actor, Laps
+
+Record = Callable[[], list[Flight]]
+
+
+def evaluate(
+    policy: Policy | Path | str,
+    config: Config | Path | str,
+    *,
+    runs: int | None = None,
+    laps: int | None = None,
+    gates: int | None = None,
+    seconds: float | None = None,
+    deterministic: bool | None = None,
+    start: Start | None = None,
+    seed: int = 0,
+    conditions: Conditions | Sequence[Condition] | Path | str | None = None,
+    plant: PlantConfig | Path | str | None = None,
+    plants: int | None = None,
+    tracks: bool | None = None,
+    name: str | None = None,
+    body_radius: float | None = None,
+    actor: Actor = pilot.fly,
+    progress: Callable[[str], object] = lambda text: None,
+) -> "Evaluation":
+    """Time the flights of a policy by the rules of a race.
+
+    An argument that is None has the value of the list of conditions, or else of the config.
+
+    Args:
+        policy: a policy, or the path of its file.
+        config: of the race: a config, a preset's name or a YAML file.
+        runs: number of runs.
+        laps: of a run.
+        gates: of a run, in place of laps.
+        seconds: of a run, in place of laps: it ends then, or with a crash.
+        deterministic: apply the mean action; samples otherwise.
+        start: from hover before the first gate ("hover"), from hover around that place ("around"),
+            from the random starts of training ("random"), or 1 m before a random gate
+            ("before_gate").
+        seed: of the noise, the disturbances and the starts.
+        conditions: a list of conditions, its file, or a name in ``configs/conditions``.
+        plant: config of the stand-in plant on which the policy flies; None: in the simulator.
+        plants: number of drawn plants, which share the runs. Each has its own noise.
+        tracks: fly each run on another random track, with the seeds after those of
+            ``randomization.tracks``.
+        name: of the policy, for messages, tables and JSON; its path if not given.
+        body_radius: of the drone, m, in place of ``rules.body_radius``; gates are then tested where
+            the line between two samples crosses their planes (``rules.gate_test: interpolated``).
+        actor: computes the actions; see ``quadjax.policy.pilot.fly``.
+        progress: called with the label of each condition before it is flown.
+
+    Raises:
+        InputError: a file that cannot be read, a policy for another vehicle model, or a number out
+            of range.
+    """
+    config = config if isinstance(config, Config) else load_config(config)
+    network = policy if isinstance(policy, Policy) else Policy.load(policy, config)
+    name = name or ("policy" if isinstance(policy, Policy) else str(policy))
+    if body_radius is not None:
+        config = with_body(config, body_radius)
+    if config.run.compilation_cache:
+        enable_compilation_cache()
+    listed = read_conditions((Condition(label="-"),) if conditions is None else conditions)
+    numbers = {"runs": runs, "laps": laps, "gates": gates, "seconds": seconds, "seed": seed}
+    numbers |= {"plants": plants}
+    protocol = listed.resolved(
+        config, **numbers, deterministic=deterministic, start=start, tracks=tracks
+    )
+    if not isinstance(plant, PlantConfig) and (plant := plant or protocol.plant) is not None:
+        plant = load_plant_config(plant)
+    if plant is not None and actor is not pilot.fly:
+        raise InputError("actor is not None, allowed: without a plant")
+    rows, records = [], []
+    for condition, race in list(protocol.of(config)):
+        progress(name if conditions is None else f"{name}: {condition.label}")
+        flown = protocol.under(condition)
+        if plant is None:
+            row, record = _simulate(network, name, (config, race), condition, flown, actor)
+        elif condition.damage is not None:
+            raise InputError(f"condition {condition.label}: has damage, allowed: without a plant")
+        else:
+            times, record = fly_plants(network, name, race, condition.on_plant(plant), flown)
+            row = Row(_label(name), times, condition.label, flown.plants)
+        rows.append(row)
+        records.append(record)
+    origin = provenance(config, name, protocol.seed)
+    return Evaluation(tuple(rows), protocol, origin, tuple(records), conditions is not None)
+
+
+def _simulate(
+    policy: Policy,
+    name: str,
+    configs: tuple[Config, Config],
+    condition: Condition,
+    protocol: Conditions,
+    actor: Actor,
+) -> tuple[Row, Record]:
+    config, race = configs
+    laps, speeds, record = simulate(policy, name, configs, condition, protocol, actor)
+    label, published = condition.label, None
+    if protocol.tracks:
+        tracks = unseen_tracks(config, protocol.runs or 1)
+        label = f"{tracks.seed} to {tracks.seed + tracks.count - 1}"
+    elif (protocol.laps, protocol.start) == (LAPS, "hover") and not protocol.deterministic:
+        published = None if condition.damage else published_row(race)
+    limit = race.vehicle.fitted_speed
+    row = Row(_label(name), laps, label, 1, speeds, limit, published)
+    return row, record
+
+
+def _label(name: str) -> str:
+    """The stem of a policy's file, or the name of the run's folder."""
+    path = Path(name)
+    if path.suffix != ".npz":
+        return name
+    return path.parent.name if path.stem == "policy" and path.parent.name else path.stem
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """Timed flights: a row for each policy and condition.
+
+    ``laps``, ``flights``, ``best`` and the figures are of the first row.
+
+    Attributes:
+        rows: policies one after the other, conditions in their order.
+        protocol: how they were flown, and how the table looks.
+        provenance: versions, config, policy, seed, date and device.
+        records: of each row, a function that returns the recorded flights.
+        by_condition: whether a list of conditions was flown.
+    """
+
+    rows: tuple[Row, ...]
+    protocol: Conditions
+    provenance: dict[str, Any]
+    records: tuple[Record, ...] = dataclasses.field(repr=False)
+    by_condition: bool = False
+
+    def __getitem__(self, label: str) -> Row:
+        """The first row of a condition, by its label."""
+        return next(row for row in self.rows if row.condition == label)
+
+    @property
+    def row(self) -> Row:
+        """The first row."""
+        return self.rows[0]
+
+    @property
+    def laps(self) -> Laps:
+        """Lap times, totals and crashes of all runs."""
+        return self.row.laps
+
+    @property
+    def lap_times(self) -> np.ndarray:
+        """Lap times (runs, laps), s; NaN for laps that were not completed."""
+        return self.laps.lap_times
+
+    @property
+    def totals(self) -> np.ndarray:
+        """Time of all laps of each run (runs,), s; NaN for runs that did not finish."""
+        return self.laps.totals
+
+    @property
+    def finished(self) -> int:
+        """Number of runs that completed every lap."""
+        return self.laps.finished
+
+    @functools.cached_property
+    def flights(self) -> list[Flight]:
+        """Every run as a flight; of flights on the plant the first of each plant."""
+        return self.records[0]()
+
+    @property
+    def best(self) -> Flight:
+        """The fastest of the recorded runs, or the longest if none finished."""
+        return fastest(self.flights)
+
+    def named_flights(self, name: str) -> list[Flight]:
+        """The distinct runs, named for a page, and the published lap times of the same race."""
+        runs = distinct(self.flights)
+        actions = "deterministic" if self.protocol.deterministic else "sampled"
+        flights = [
+            run.replace(
+                name=name if len(runs) == 1 else f"{name} {number}",
+                source=run.source | {"note": f"{flight_title(run)}, {actions}"},
+            )
+            for number, run in enumerate(runs, start=1)
+        ]
+        published = self.row.published
+        return flights + ([lap_times(published.policy, published.lap_means)] if published else [])
+
+    @property
+    def gate_offsets(self) -> np.ndarray:
+        """Distance from the gate's center of every passage of all runs (n,), m.
+
+        The larger of the lateral and the vertical one.
+        """
+        distances = []
+        for flight in self.flights:
+            when = flight.passages[:, 0]
+            gates = [flight.gates[int(index)] for index in flight.passages[:, 1]]
+            path = [np.interp(when, flight.time, column) for column in flight["position"].T]
+            center = np.array([gate.position for gate in gates], np.float64).reshape(-1, 3)
+            axes = np.array([gate.axes for gate in gates]).reshape(-1, 3, 3)
+            place = np.einsum("ni,nij->nj", np.stack(path, axis=1) - center, axes)
+            distances.append(np.abs(place[:, 1:]).max(axis=1))
+        return np.concatenate(distances)
+
+    def label(self) -> str:
+        """How the actions were chosen, and the number of runs."""
+        how = "deterministic" if self.protocol.deterministic else "sampled"
+        return f"{how}, {counted(self.row.runs, 'run')}"
+
+    def table(self, format: Format | None = None) -> str:
+        """The rows as a table, by default as Markdown with conditions and as text without.
+
+        Without conditions it is the lap table, with the published row of the same race and
+        protocol, if any.
+        """
+        if self.by_condition:
+            columns, title = self.protocol.columns, self.protocol.title
+            table = condition_table(self.rows, title, columns)
+            if self.protocol.across:
+                table = policy_table(self.rows, columns[0])
+            return table.format(format or "markdown")
+        return tabulate({self.label(): self}, format or "text")
+
+    def plot(self) -> Figure:
+        """The best run seen from above and from the side, colored by speed."""
+        return figures.trajectory_figure([self.best], self.best.gates, flight_title(self.best))
+
+    def plot_signals(self) -> Figure:
+        """Actuators and body rates of the best run over time."""
+        return charts.signals_figure(self.best, flight_title(self.best))
+
+    def plot_3d(self) -> Figure:
+        """The best run in perspective, colored by speed."""
+        return figures.space_figure([self.best], self.best.gates, flight_title(self.best))
+
+    def plot_attitude(self) -> Figure:
+        """Height, speed and Euler angles of the best run over time."""
+        return charts.attitude_figure({"": self.best}, flight_title(self.best))
+
+    def show(self, path: Path | str | None = None) -> None:
+        """Show the runs in 3D: in a notebook, or as a page in the browser.
+
+        Args:
+            path: of the page, an HTML file that needs no network; a temporary file if not given.
+        """
+        from quadjax.view.data import page_record
+        from quadjax.view.notebook import show
+
+        show(page_record(self.label(), self.named_flights("run")), path)
+
+    def animate(self, path: Path | str, advance: Callable[[], object] = lambda: None) -> None:
+        """Write an animation (``.gif``) of all runs in real time.
+
+        ``advance`` is called after every frame.
+        """
+        from quadjax.evaluation.animation import write_animation
+
+        write_animation(distinct(self.flights), self.best.gates, path, advance)
+
+    def save_states(self, path: Path | str) -> None:
+        """Write all runs, as arrays (``.npz``) or as a table (``.csv``); see ``flights.files``.
+
+        The metadata of the arrays have the entries of ``to_json``, too.
+
+        Raises:
+            InputError: another suffix.
+        """
+        save(self.flights, path, **self.to_json())
+
+    def to_json(self) -> dict[str, Any]:
+        """Lap times in s, crashes, how the runs were made, and their provenance; or the rows."""
+        protocol, record = self.protocol, {"provenance": self.provenance}
+        if not self.by_condition:
+            actions = {"deterministic": bool(protocol.deterministic)}
+            return self.laps.to_json() | actions | {"start": protocol.start} | record
+        rows = {"flights": [row.to_json() for row in self.rows]}
+        return rows | ({"seconds": protocol.seconds} if protocol.seconds else {}) | record
+
+
+def flight_title(flight: Flight) -> str:
+    """Laps, time and crash of a flight as a short text."""
+    title = f"{counted(len(flight.lap_ends), 'lap')} in {flight.time[-1]:.2f} s"
+    return f"{title}, then {flight.crash}" if flight.crash else title
+
+
+def joined(evaluations: Sequence[Evaluation]) -> Evaluation:
+    """The rows of several policies under the same conditions.
+
+    Policies of one label have their files as labels.
+    """
+    labels = [result.row.policy for result in evaluations]
+    rows: list[Row] = []
+    for result in evaluations:
+        file = result.provenance["policy"]["file"]
+        double = labels.count(result.row.policy) > 1
+        rows += [dataclasses.replace(r, policy=file) if double else r for r in result.rows]
+    records = tuple(record for result in evaluations for record in result.records)
+    return dataclasses.replace(evaluations[0], rows=tuple(rows), records=records)
+
+
+def tabulate(evaluations: Mapping[str, Evaluation], format: Format = "text") -> str:
+    """Evaluations of one race by label as one lap table, with how runs ended early."""
+    if any(result.protocol.seconds is not None for result in evaluations.values()):
+        rows = [
+            dataclasses.replace(result.row, policy="", condition=label)
+            for label, result in evaluations.items()
+        ]
+        return condition_table(rows, "", ("crashed", "ended")).format(format)
+    sampled = [r.row.published for r in evaluations.values() if not r.protocol.deterministic]
+    alike = len(set(sampled)) == 1
+    rows = [
+        dataclasses.replace(
+            result.row,
+            policy=label,
+            condition="",
+            published=result.row.published if alike else None,
+        )
+        for label, result in evaluations.items()
+    ]
+    return lap_table(rows).format(format)
