@@ -5,6 +5,7 @@ it calls the pilot, where the files go, and on which processor the verification 
 """
 
 import dataclasses
+import math
 from pathlib import Path
 
 import numpy as np
@@ -141,6 +142,10 @@ def check_target(target: Target, network: FixedNetwork, race: RaceTables) -> Non
     if target.name == "indiflight" and race.gates > MOST_GATES:
         raise InputError(f"{start}: {race.gates} gates, allowed: {MOST_GATES}")
     held = race.box.layout.counts_steps or not target.every_call
+    if target.name == "crazyflie" and round(1e9 * race.time_step) % 1_000_000:
+        raise InputError(
+            f"{start}: the time step is {race.time_step:g} s, allowed: whole milliseconds"
+        )
     if target.calls and held and not calls_per_step(target.calls, race.time_step):
         raise InputError(
             f"{start}: the time step is {race.time_step:g} s, allowed: whole periods of "
@@ -148,14 +153,12 @@ def check_target(target: Target, network: FixedNetwork, race: RaceTables) -> Non
         )
 
 
-STEP_ERROR = (
-    0.05  # of a step of the policy, where an autopilot calls the pilot several times in one
-)
+STEP_ERROR = 0.03  # of the calls in a step of the policy, as in ``qj_pilot.c``
 
 
 def calls_per_step(frequency: float, time_step: float) -> int:
     """Calls at a frequency, Hz, in a step, s; 0 where no whole number is within ``STEP_ERROR``."""
-    calls = round(frequency * time_step)
+    calls = math.ceil(frequency * time_step - 0.5)  # half a call before the step it is due
     return calls if calls and abs(calls - frequency * time_step) <= STEP_ERROR * calls else 0
 
 

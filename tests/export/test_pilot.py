@@ -368,9 +368,14 @@ def test_policies_that_an_autopilot_cannot_fly_are_refused(tmp_path):
         InputError, match="crazyflie: the policy observes rotor_speed, which Crazyf"
     ):
         check_target(TARGETS["crazyflie"], converted.network, converted.race)
-    slow = dataclasses.replace(converted.race, time_step=0.0105)
-    with pytest.raises(InputError, match="--target"):
-        check_target(TARGETS["crazyflie"], converted.network, slow)
+    flies = converted_in(tmp_path / "flies", *without_rotors(), "crazyflie")
+    check_target(TARGETS["crazyflie"], flies.network, flies.race)
+    uneven = dataclasses.replace(flies.race, time_step=0.0105)
+    with pytest.raises(InputError, match="time step is 0.0105 s, allowed: whole milliseconds"):
+        check_target(TARGETS["crazyflie"], flies.network, uneven)
+    uneven = dataclasses.replace(flies.race, time_step=0.003)
+    with pytest.raises(InputError, match="time step is 0.003 s, allowed: whole periods of 512"):
+        check_target(dataclasses.replace(TARGETS["cortex-m7"], calls=512.0), flies.network, uneven)
     for target in ("px4", "indiflight", "crazyflie"):
         with pytest.raises(
             InputError, match=f"--target {target}: .*'motor', allowed: racing, a2rl"

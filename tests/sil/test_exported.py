@@ -205,7 +205,7 @@ def test_a_policy_of_earlier_steps_keeps_its_steps_at_another_rate(tmp_path):
     assert len(np.unique(found, axis=0)) == 8
     inputs = written(tmp_path / "odd", policy, own, race_of_policy(policy)[0], "cortex-m7")
     sources = write_sources(tmp_path / "odd", inputs, 130.0, tmp_path / "odd")
-    with pytest.raises(InputError, match="no whole number of calls is a step of it, within 5%"):
+    with pytest.raises(InputError, match="no whole number of calls is a step of it, within 3%"):
         label_of(sources.build(tmp_path / "odd"), tmp_path)
 
 

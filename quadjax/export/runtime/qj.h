@@ -145,6 +145,7 @@ typedef enum {
 /* One drone in its race. The caller owns it. */
 typedef struct {
   int32_t previous[3]; /* position at the last update */
+  uint32_t placed;     /* there is such a position */
   uint32_t target;     /* gate to pass next */
   uint32_t passed;
   uint32_t missed;

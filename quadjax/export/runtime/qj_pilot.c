@@ -4,7 +4,14 @@
 #include "qj_integers.h"
 
 #define NS_PER_US 1000U
-enum { STEP_PARTS = 20, RATE_PARTS = 100 }; /* a step may be off by 5%, an estimator's rate by 1% */
+enum { RATE_PARTS = 100 }; /* an estimator's rate may be off by 1% */
+enum { STEP_PARTS = 100, STEP_ERROR = 3 }; /* calls in a step may be off by 3% */
+/* Numbers that an autopilot always gives, or that the pilot has itself. */
+#define ALWAYS_GIVEN                                                                     \
+  (QJ_GIVES(QJ_POSITION) | QJ_GIVES(QJ_VELOCITY) | QJ_GIVES(QJ_RATES) |                  \
+   QJ_GIVES(QJ_LAST_COMMAND))
+
+static const float zeros[QJ_COMMANDS] = {0.0F, 0.0F, 0.0F, 0.0F};
 
 static void copy(float *to, const float *from, uint32_t count) {
   for (uint32_t i = 0U; i < count; ++i) {
@@ -17,12 +24,12 @@ static uint32_t is_close(uint64_t a, uint64_t b, uint64_t parts) {
   return ((parts * a <= (parts + 1U) * b) && (parts * a >= (parts - 1U) * b)) ? 1U : 0U;
 }
 
-/* Whether some number of calls is a period. */
+/* Whether the nearest whole number of calls is a period. */
 static uint32_t is_whole(uint32_t period_ns, uint32_t call_ns) {
-  uint64_t calls = call_ns;
-  for (; 20U * calls < 19U * (uint64_t)period_ns; calls += call_ns) {
-  }
-  return is_close(calls, period_ns, STEP_PARTS);
+  const uint64_t calls = (2U * (uint64_t)period_ns + call_ns - 1U) / (2U * (uint64_t)call_ns);
+  const uint64_t time = calls * call_ns;
+  const uint64_t apart = (time > period_ns) ? time - period_ns : period_ns - time;
+  return ((calls != 0U) && (STEP_PARTS * apart <= STEP_ERROR * time)) ? 1U : 0U;
 }
 
 /* Why an autopilot cannot fly a policy, or 0. */
@@ -44,8 +51,10 @@ static const char *unsuitable(qj_pilot *pilot, const qj_interface *interface) {
       (is_close((uint32_t)policy->estimator[QJ_ESTIMATOR_PERIOD_NS], interface->call_ns,
                 RATE_PARTS) != 0U);
   pilot->own_estimator = can & rate_of_estimator;
-  const uint32_t observed = qj_observes(policy, QJ_MOMENT_EXT) | qj_observes(policy, QJ_FORCE_EXT);
-  if ((observed != 0U) && (pilot->own_estimator == 0U) && ((gives & QJ_GIVES(QJ_MOMENT_EXT)) == 0U)) {
+  const uint32_t missing =
+      (qj_observes(policy, QJ_MOMENT_EXT) & ~(gives >> (uint32_t)QJ_MOMENT_EXT)) |
+      (qj_observes(policy, QJ_FORCE_EXT) & ~(gives >> (uint32_t)QJ_FORCE_EXT));
+  if ((missing != 0U) && (pilot->own_estimator == 0U)) {
     return ((can != 0U) && (policy->estimator != 0))
                ? "its estimator is for another rate than that of the calls"
                : "it observes external disturbances, which are not estimated here";
@@ -59,9 +68,8 @@ static const char *unsuitable(qj_pilot *pilot, const qj_interface *interface) {
       return "its estimator of the highest rpm is for another rate than that of the calls";
     }
   }
-  const uint32_t always = QJ_GIVES(QJ_POSITION) | QJ_GIVES(QJ_VELOCITY) | QJ_GIVES(QJ_RATES) |
-                          QJ_GIVES(QJ_MOMENT_EXT) | QJ_GIVES(QJ_FORCE_EXT) |
-                          QJ_GIVES(QJ_LAST_COMMAND) | QJ_GIVES(QJ_HIGHEST_RPM);
+  const uint32_t always = ALWAYS_GIVEN | QJ_GIVES(QJ_MOMENT_EXT) | QJ_GIVES(QJ_FORCE_EXT) |
+                          QJ_GIVES(QJ_HIGHEST_RPM);
   for (uint32_t code = QJ_POSITION; code <= QJ_HIGHEST_RPM; ++code) {
     if ((((gives | always) & QJ_GIVES(code)) == 0U) && (qj_observes(policy, (qj_field)code) != 0U)) {
       return ((code == QJ_ROTOR_SPEED) || (code == QJ_ROTOR_RPM))
@@ -70,7 +78,7 @@ static const char *unsuitable(qj_pilot *pilot, const qj_interface *interface) {
     }
   }
   if ((pilot->every_call == 0U) && (is_whole(policy->period_ns, interface->call_ns) == 0U)) {
-    return "no whole number of calls is a step of it, within 5%";
+    return "no whole number of calls is a step of it, within 3%";
   }
   return 0;
 }
@@ -79,10 +87,13 @@ const char *qj_pilot_load(qj_pilot *pilot, const int32_t *words, uint32_t bytes,
                           const qj_interface *interface) {
   const qj_counters none = {0U, 0U, 0U, 0U, 0U, 0U};
   pilot->usable = 0U;
+  pilot->gives = interface->gives;
   pilot->counters = none;
+  pilot->highest_rpm[0] = 0.0F;
   pilot->estimator.started = 0U;
   pilot->battery.started = 0U;
   const qj_error error = qj_load(&pilot->policy, &pilot->race, words, bytes);
+  qj_pilot_reset(pilot); /* the race is that of the self-tests */
   if (error != QJ_OK) {
     return qj_error_name(error);
   }
@@ -91,7 +102,10 @@ const char *qj_pilot_load(qj_pilot *pilot, const int32_t *words, uint32_t bytes,
   }
   pilot->every_call =
       ((interface->every_call != 0U) && (qj_counts_steps(&pilot->policy) == 0U)) ? 1U : 0U;
-  pilot->period_us = pilot->policy.period_ns / NS_PER_US;
+  const uint32_t half_call_ns = interface->call_ns / 2U;
+  pilot->due_us = (pilot->policy.period_ns > half_call_ns)
+                      ? (pilot->policy.period_ns - half_call_ns) / NS_PER_US
+                      : 0U;
   const char *const wrong = unsuitable(pilot, interface);
   if (wrong == 0) {
     pilot->usable = 1U;
@@ -104,18 +118,25 @@ void qj_pilot_reset(qj_pilot *pilot) {
   const qj_policy *const policy = &pilot->policy;
   pilot->racing = 0U;
   pilot->lost = 0U;
+  pilot->race.target = 0U;
+  pilot->race.passed = 0U;
+  pilot->race.missed = 0U;
   for (uint32_t i = 0U; (pilot->usable != 0U) && (i < QJ_COMMANDS); ++i) {
     const float unit = 0.5F / (float)(UINT32_C(1) << policy->fraction_bits);
     pilot->command[i] = ((float)policy->low[i] + (float)policy->high[i]) * unit;
   }
 }
 
+static uint32_t is_given(const qj_pilot *pilot, int32_t code) {
+  return (((pilot->gives | ALWAYS_GIVEN) & QJ_GIVES(code)) != 0U) ? 1U : 0U;
+}
+
 /* What the estimators give, at every call. */
 static void estimate(qj_pilot *pilot, const qj_vehicle *vehicle, const float *commands) {
   const qj_policy *const policy = &pilot->policy;
   uint32_t wrong = 0U;
-  copy(pilot->moment, vehicle->moment_ext, 3U);
-  copy(pilot->force, vehicle->force_ext, 3U);
+  copy(pilot->moment, (is_given(pilot, QJ_MOMENT_EXT) != 0U) ? vehicle->moment_ext : zeros, 3U);
+  copy(pilot->force, (is_given(pilot, QJ_FORCE_EXT) != 0U) ? vehicle->force_ext : zeros, 3U);
   if (pilot->own_estimator != 0U) {
     float measured[13];
     copy(measured, vehicle->gyro, 3U);
@@ -126,7 +147,7 @@ static void estimate(qj_pilot *pilot, const qj_vehicle *vehicle, const float *co
         qj_estimator_update(policy, &pilot->estimator, measured, pilot->moment, pilot->force);
     wrong |= status.clipped | status.nan;
   }
-  if (policy->battery != 0) {
+  if ((policy->battery != 0) && (is_given(pilot, QJ_ROTOR_RPM) != 0U)) {
     float sample[8];
     copy(sample, vehicle->rotor_rpm, 4U);
     copy(sample + 4, commands, 4U);
@@ -137,7 +158,13 @@ static void estimate(qj_pilot *pilot, const qj_vehicle *vehicle, const float *co
   pilot->counters.estimator_calls += (wrong != 0U) ? 1U : 0U;
 }
 
+/* A field of the state; zeros where the autopilot does not give it. */
 static const float *numbers_of(const qj_pilot *pilot, const qj_vehicle *vehicle, int32_t code) {
+  const uint32_t here = ((code == QJ_MOMENT_EXT) || (code == QJ_FORCE_EXT) ||
+                         (code == QJ_HIGHEST_RPM)) ? 1U : 0U;
+  if ((here | is_given(pilot, code)) == 0U) {
+    return zeros;
+  }
   switch (code) {
     case QJ_POSITION:
       return vehicle->position;
@@ -195,13 +222,18 @@ void qj_pilot_wait(qj_pilot *pilot, const qj_vehicle *vehicle) {
   }
 }
 
+/* Whether a time is after another, on a clock that wraps around. */
+static uint32_t is_after(uint32_t time_us, uint32_t other_us) {
+  const uint32_t apart = time_us - other_us;
+  return ((apart != 0U) && (apart < (UINT32_C(1) << 31))) ? 1U : 0U;
+}
+
 /* Whether a state may be used: neither stale, nor older than the one before. */
 static uint32_t is_new(const qj_pilot *pilot, uint32_t now_us, const qj_vehicle *vehicle) {
-  if ((vehicle == 0) || (now_us - vehicle->time_us > QJ_STALE_US)) {
+  if ((vehicle == 0) || (is_after(now_us, vehicle->time_us + QJ_STALE_US) != 0U)) {
     return 0U;
   }
-  const uint32_t apart = vehicle->time_us - pilot->state_us;
-  return ((pilot->racing == 0U) || ((apart != 0U) && (apart < (UINT32_C(1) << 31)))) ? 1U : 0U;
+  return ((pilot->racing == 0U) || (is_after(vehicle->time_us, pilot->state_us) != 0U)) ? 1U : 0U;
 }
 
 static qj_pilot_status missing(qj_pilot *pilot, uint32_t now_us, float command[QJ_COMMANDS]) {
@@ -211,6 +243,10 @@ static qj_pilot_status missing(qj_pilot *pilot, uint32_t now_us, float command[Q
   if ((pilot->racing != 0U) && (now_us - pilot->lost_us <= QJ_HOLD_US)) {
     copy(command, pilot->command, QJ_COMMANDS);
     return QJ_HELD;
+  }
+  if (pilot->racing != 0U) { /* the motors get 0, until a step at the next state */
+    copy(pilot->command, command, QJ_COMMANDS);
+    pilot->step_us = now_us - pilot->due_us;
   }
   return QJ_LOST;
 }
@@ -226,9 +262,9 @@ qj_pilot_status qj_pilot_step(qj_pilot *pilot, uint32_t now_us, const qj_vehicle
   if (is_new(pilot, now_us, vehicle) == 0U) {
     return missing(pilot, now_us, command);
   }
-  const uint32_t since = vehicle->time_us - pilot->step_us;
+  const uint32_t since = now_us - pilot->step_us;
   const uint32_t due = ((pilot->racing == 0U) || (pilot->every_call != 0U) ||
-                        (since >= pilot->period_us - pilot->period_us / 20U)) ? 1U : 0U;
+                        (since >= pilot->due_us)) ? 1U : 0U;
   estimate(pilot, vehicle, (pilot->racing != 0U) ? pilot->command : vehicle->others_command);
   if (pilot->racing == 0U) {
     qj_race_start(&pilot->policy, &pilot->race, vehicle->position, 0U);
@@ -237,7 +273,7 @@ qj_pilot_status qj_pilot_step(qj_pilot *pilot, uint32_t now_us, const qj_vehicle
   pilot->lost = 0U;
   pilot->state_us = vehicle->time_us;
   if (due != 0U) {
-    pilot->step_us = vehicle->time_us;
+    pilot->step_us = now_us;
     decide(pilot, vehicle);
   }
   copy(command, pilot->command, QJ_COMMANDS);

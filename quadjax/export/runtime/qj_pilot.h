@@ -68,8 +68,9 @@ typedef struct {
   uint32_t racing; /* since the first step after qj_pilot_reset */
   uint32_t every_call;
   uint32_t own_estimator; /* the policy's estimator of disturbances runs */
-  uint32_t period_us;
-  uint32_t step_us;  /* time of the last step */
+  uint32_t gives;
+  uint32_t due_us;   /* from a step to the next: its period less half a call */
+  uint32_t step_us;  /* time of the call of the last step */
   uint32_t state_us; /* time of the newest state */
   uint32_t lost;     /* states were missing in the last call */
   uint32_t lost_us;  /* since when */
@@ -96,7 +97,8 @@ void qj_pilot_reset(qj_pilot *pilot);
 void qj_pilot_wait(qj_pilot *pilot, const qj_vehicle *vehicle);
 
 /* A call in which it flies, every call_ns: the estimators run, and at every step of the policy its
- * commands change. vehicle: 0 if there is no valid state. now_us: on the clock of vehicle->time_us.
+ * commands change. vehicle: 0 if there is no valid state. now_us: of the call, on the clock of
+ * vehicle->time_us; the steps follow it.
  * The commands are within the policy's limits and never NaN, whatever comes in, or all 0. */
 qj_pilot_status qj_pilot_step(qj_pilot *pilot, uint32_t now_us, const qj_vehicle *vehicle,
                               float command[QJ_COMMANDS]);

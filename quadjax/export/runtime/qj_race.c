@@ -202,7 +202,7 @@ static uint32_t quantize_position(const qj_policy *policy, const float position[
 
 void qj_race_start(const qj_policy *policy, qj_race *race, const float position[3],
                    uint32_t target) {
-  (void)quantize_position(policy, position, race->previous);
+  race->placed = (quantize_position(policy, position, race->previous) == 0U) ? 1U : 0U;
   race->target = (target < policy->gates) ? target : 0U;
   race->passed = 0U;
   race->missed = 0U;
@@ -259,7 +259,8 @@ qj_event qj_race_update(const qj_policy *policy, qj_race *race, const float posi
   if (quantize_position(policy, position, now) != 0U) {
     return QJ_NO_EVENT;
   }
-  const qj_event event = crossing(policy, race, now);
+  const qj_event event = (race->placed != 0U) ? crossing(policy, race, now) : QJ_NO_EVENT;
+  race->placed = 1U;
   if (event == QJ_GATE_PASSED) {
     race->target = (race->target + 1U < policy->gates) ? race->target + 1U : 0U;
     ++race->passed;

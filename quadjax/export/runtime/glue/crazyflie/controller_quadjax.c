@@ -40,6 +40,9 @@ void controllerOutOfTreeInit(void) {
   const qj_interface interface = {QJ_GIVES(QJ_EULER) | QJ_GIVES(QJ_QUATERNION), QJ_GIVES(QJ_MOTOR),
                                   1000U * US_PER_TICK, 0U};
   wrong = qj_pilot_load(&pilot, QUADJAX_WORDS, sizeof(QUADJAX_WORDS), &interface);
+  if ((wrong == 0) && (pilot.policy.period_ns % (1000U * US_PER_TICK) != 0U)) {
+    wrong = "its time step is no whole number of ms";
+  }
   if (wrong != 0) {
     DEBUG_PRINT("quadjax: policy rejected: %s\n", wrong);
   }

@@ -57,15 +57,11 @@ void nn_control(const float world_state[16], float motor_cmds[4]) {
     vehicle.velocity[i] = world_state[3U + i];
     vehicle.euler[i] = world_state[6U + i];
     vehicle.rates[i] = world_state[9U + i];
-    vehicle.moment_ext[i] = 0.0F;
-    vehicle.force_ext[i] = 0.0F;
   }
   for (uint32_t i = 0U; i < 4U; ++i) {
     vehicle.rotor_speed[i] = world_state[12U + motor_number[i]];
-    vehicle.rotor_rpm[i] = 0.0F;
     vehicle.others_command[i] = 0.0F;
   }
-  vehicle.thrust[0] = 0.0F;
 #if QUADJAX_OBSERVES_QUATERNION
   qj_quaternion_of(vehicle.euler, vehicle.quaternion);
 #endif

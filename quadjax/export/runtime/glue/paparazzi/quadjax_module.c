@@ -113,6 +113,7 @@ void quadjax_module_init(void) {
   if ((wrong == 0) && (qj_self_test(&pilot.policy, &pilot.race) != 0U)) {
     wrong = qj_error_name(QJ_BAD_SELF_TEST);
   }
+  qj_pilot_reset(&pilot);
 #endif
 #if defined(PREFLIGHT_CHECKS) && PREFLIGHT_CHECKS
   preflight_check_register(&policy_check, check_policy);
