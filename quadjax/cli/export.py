@@ -68,8 +68,10 @@ def export(
         overwrite=overwrite,
     )
     print(result.text)
-    wrote(f"{output}/")
+    wrote(*(output / file for file in sorted(result.converted.files())))
+    wrote(output / f"{result.name}_report.txt", output / f"{result.name}_report.json")
     print(f"Next: {verification(output, allow_unfinished, allow_other_race)}")
+    print(f"Then: quadjax sil {output}")
 
 
 def verification(output: Path, allow_unfinished: bool, allow_other_race: bool) -> str:

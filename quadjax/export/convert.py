@@ -24,7 +24,7 @@ from quadjax.export.fixed import check_policy
 from quadjax.export.flights import SEED
 from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, own_race
 from quadjax.export.report import Json, make_report, report_text
-from quadjax.export.targets import DEFAULT_TARGET, find_target, target_of
+from quadjax.export.targets import DEFAULT_TARGET, TARGETS, find_target, runtime_files, target_of
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 
@@ -127,6 +127,7 @@ def export_c(
         report["provenance"] = provenance(found, path, SEED)
         with writing(folder), replacement(folder, _optional(symbol)) as new:
             _write(converted, new, report, path)
+        _remove_empty(folder)
     return Export(folder, converted, report)
 
 
@@ -176,7 +177,20 @@ def _check_folder(folder: Path, name: str) -> None:
 def _optional(name: str) -> tuple[str, ...]:
     """Files that not every export writes; those of an earlier export are removed."""
     parts = ("", "_race", "_estimator", "_battery")  # of earlier releases
-    return (*(f"{name}{part}.{end}" for part in parts for end in "ch"), RESIDUAL_FILE, *FOLDERS)
+    files = [f"{name}{part}.{end}" for part in parts for end in "ch"]
+    for target in TARGETS.values():
+        own = ("qj_sizes.h", "quadjax_policy.h", f"{name}.h")
+        files += [*runtime_files(target), *(f"{target.folder}/{file}" for file in own)]
+    return (*dict.fromkeys(files), RESIDUAL_FILE)
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove the folders of an earlier export that have no file left."""
+    for top in FOLDERS:
+        for path in sorted([folder / top, *(folder / top).rglob("*")], reverse=True):
+            if path.is_dir() and not path.is_symlink():
+                with contextlib.suppress(OSError):
+                    path.rmdir()
 
 
 def _write(converted: Converted, folder: Path, report: Json, policy: Path) -> None:

@@ -17,6 +17,7 @@ from quadjax.core.files import write_bytes
 from quadjax.export import emulator, race_emulator
 from quadjax.export.actor import fixed_point_fly
 from quadjax.export.conversion import Options
+from quadjax.export.convert import export_c
 from quadjax.export.race_source import own_race
 from quadjax.export.targets import PX4_MODULE, TARGETS, check_target, target_of
 from quadjax.export.verify.build import load_library
@@ -383,3 +384,24 @@ def test_policies_that_an_autopilot_cannot_fly_are_refused(tmp_path):
             target_of(target, "motor")
     assert target_of("cortex-a9", "racing").folder == "c"
     assert Options("made").target == "cortex-a9"
+
+
+def test_estimators_at_another_rate_than_the_calls_are_refused(tmp_path):
+    text = "--sample-rate 256: --target cortex-a9 calls the estimators at 512 Hz, allowed: that"
+    for name in ("e2e with quaternions", "e2e, axes and more"):
+        with pytest.raises(InputError, match=text):
+            converted_in(tmp_path / "other", *made(name), "cortex-a9", 256.0)
+
+
+@pytest.mark.slow
+def test_a_users_folder_stays_beside_an_export(tmp_path):
+    policy, _ = made("published racing")
+    policy.save(tmp_path / "policy.npz")
+    out, own = tmp_path / "out", tmp_path / "out/c/mine.c"
+    write_bytes(own, b"int mine;")
+    ranges = {"position": 64.0, "velocity": 128.0, "rates": 1024.0, "attitude": 4.0}
+    for target in ("px4", "indiflight"):
+        options = {"name": "made", "allow_unfinished": True, "overwrite": True}
+        export_c(tmp_path / "policy.npz", out, ranges=ranges, target=target, **options)
+    assert own.read_bytes() == b"int mine;" and not (out / "px4").exists()
+    assert (out / "indiflight/nn_controller.c").exists()

@@ -80,7 +80,8 @@ class Sources:
     ) -> "Sources":
         """Write the C; without ``files`` the runtime with its largest sizes.
 
-        A firmware of the user's calls the pilot at the rate of the estimators, or once a step.
+        The pilot is called at the rate of the estimators; without them at the autopilot's, or once
+        a step.
         """
         if files is None:
             texts = {name: text.encode() for name, text in runtime_files(target).items()}
@@ -88,7 +89,7 @@ class Sources:
         for name, data in files.items():
             write_bytes(work / name, data)
         rates = [t.sample_rate for t in (policy.battery, policy.estimator) if t is not None]
-        rate = target.calls or (rates or [1.0 / policy.time_step])[0]
+        rate = rates[0] if rates else target.calls or 1.0 / policy.time_step
         return cls(target, work, round(1e9 / rate))
 
     @property
