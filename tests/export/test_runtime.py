@@ -327,18 +327,45 @@ def fuzzed(data, count, folder, seed=0):
     """Edits, and the errors of the loader under the sanitizers."""
     (folder / "fuzz.c").write_text(FUZZ + """
 #include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+/* Every length up to that of the header, and some beyond, in memory of exactly that length; the
+ * checksum is right, and so is the length that the header states, every second time. */
+static int lengths(const int32_t *words, uint32_t bytes, uint32_t place) {
+  static qj_policy policy;
+  static qj_race race;
+  int accepted = 0;
+  for (uint32_t size = 4U; size < bytes; size += (size < 400U) ? 4U : 404U) {
+    for (uint32_t stated = 0U; stated < 2U; ++stated) {
+      int32_t *const cut = malloc(size);
+      memcpy(cut, words, size);
+      if ((stated != 0U) && (4U * place + 4U < size)) {
+        cut[place] = (int32_t)size;
+      }
+      cut[size / 4U - 1U] = (int32_t)crc32_of_words(cut, size / 4U - 1U);
+      accepted += qj_load(&policy, &race, cut, size) == QJ_OK;
+      free(cut);
+    }
+  }
+  return accepted;
+}
 int main(int argc, char **argv) {
-  static int32_t words[65536];
+  static int32_t all[65536];
   static uint32_t edits[4];
-  (void)argc;
   FILE *const file = fopen(argv[1], "rb");
   FILE *const list = fopen(argv[2], "rb");
-  const uint32_t bytes = (uint32_t)fread(words, 1, sizeof(words), file);
+  const uint32_t bytes = (uint32_t)fread(all, 1, sizeof(all), file);
+  int32_t *const words = malloc(bytes); /* no word more, so that a read beyond is seen */
+  memcpy(words, all, bytes);
+  if ((argc != 4) || (lengths(words, bytes, (uint32_t)atoi(argv[3])) != 0)) {
+    return 2;
+  }
   while (fread(edits, sizeof(edits), 1, list) == 1) {
     uint8_t error;
     fuzz(words, bytes, edits, &error, 1);
     putchar(error);
   }
+  free(words);
   return 0;
 }
 """)  # fmt: skip
@@ -348,6 +375,7 @@ int main(int argc, char **argv) {
     command = [need("gcc"), *SANITIZERS, f"-I{RUNTIME}", str(folder / "fuzz.c"), *map(str, FILES)]
     subprocess.run([*command, "-o", str(folder / "fuzz")], check=True)
     arguments = [str(folder / name) for name in ("fuzz", "words.bin", "edits.bin")]
+    arguments.append(str(at_of(data, "header", "bytes")))
     done = subprocess.run(arguments, capture_output=True)
     assert done.returncode == 0, done.stderr[:500]
     return edits, np.frombuffer(done.stdout, np.uint8)
