@@ -7,7 +7,7 @@ FRD and world NED and to evenly spaced times, and they are compared with one ano
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -112,8 +112,9 @@ class FlightLog:
 
     def __getitem__(self, rows: slice) -> Self:
         """The flight at some consecutive samples."""
-        sampled = {k: v for k, v in vars(self).items() if isinstance(v, (np.ndarray, Rotation))}
-        return replace(self, **{name: values[rows] for name, values in sampled.items()})
+        arrays = {k: v for k, v in vars(self).items() if isinstance(v, (np.ndarray, Rotation))}
+        sampled: dict[str, Any] = {name: values[rows] for name, values in arrays.items()}
+        return replace(self, **sampled)
 
 
 def find_logs(config: LogsConfig, folder: Path) -> list[Path]:
@@ -198,7 +199,7 @@ def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) ->
     return _log(path, LogTable(columns, first_row=2), config)
 
 
-def _users(function: Callable, path: Path | str, *arguments: object) -> object:
+def _users(function: Callable, path: Path | str, *arguments: object) -> Any:
     """What a user's function returns; its errors as one line."""
     try:
         return function(*arguments)
@@ -235,14 +236,15 @@ def _wanted(
         absent = optional and quantity not in config.columns and not set(names) & set(header)
         if names and not absent:
             wanted[quantity] = list(names)
-    for choices, words in (
+    needed = (
         (("time",), "time (logs.columns.time)"),
         (("gyro",), "gyro (logs.columns.gyro)"),
         (("acceleration",), "acceleration (logs.columns.acceleration)"),
         (("rpm", "motor_command"), "rpm or motor_command (logs.columns)"),
         (("body_velocity", "world_velocity"), "body_velocity or world_velocity (logs.columns)"),
-    ):
-        if not set(choices) & set(wanted):
+    )
+    for quantities, words in needed:
+        if not set(quantities) & set(wanted):
             raise InputError(f"{path}: no columns for {words}")
     if "body_velocity" not in wanted and not set(ATTITUDES) & set(wanted):
         raise InputError(
