@@ -29,7 +29,6 @@ from quadjax.export.targets import (
     DEFAULT_TARGET,
     RUNTIME,
     Target,
-    check_rate,
     check_target,
     observed_fields,
     runtime_files,
@@ -154,8 +153,6 @@ def convert_policy(
         assert own.params.battery is not None
         first = float(middle_limit(own.params.battery))
         battery = make_battery(vehicle.constants, first, options.sample_rate)
-    if estimator or battery:
-        check_rate(target_of(options.target, policy.vehicle), options.sample_rate)
     tables = (network, race, estimator, battery)
     rows = (rollouts.observations, rollouts.states, rollouts.targets)
     policy_hash = sha256(path)

@@ -153,20 +153,6 @@ def check_target(target: Target, network: FixedNetwork, race: RaceTables) -> Non
         )
 
 
-def check_rate(target: Target, sample_rate: float) -> None:
-    """Check that the estimators' rate is that of an autopilot's calls, as the pilot on board does.
-
-    Raises:
-        InputError: another rate, Hz.
-    """
-    if target.calls and abs(target.calls / sample_rate - 1.0) > RATE_ERROR:
-        raise InputError(
-            f"--sample-rate {sample_rate:g}: --target {target.name} calls the estimators at "
-            f"{target.calls:g} Hz, allowed: that rate within {RATE_ERROR:.0%}"
-        )
-
-
-RATE_ERROR = 0.01  # of an estimator, as in ``qj_pilot.c``
 STEP_ERROR = 0.03  # of the calls in a step of the policy, as in ``qj_pilot.c``
 
 

@@ -20,7 +20,7 @@ from quadjax.export.conversion import Options
 from quadjax.export.convert import export_c
 from quadjax.export.race_source import own_race
 from quadjax.export.targets import PX4_MODULE, TARGETS, check_target, target_of
-from quadjax.export.verify.build import load_library
+from quadjax.export.verify.build import Sources, load_library
 from quadjax.export.verify.result import Skipped
 from quadjax.export.verify.toolchain import WARNINGS, arm_none_eabi, host
 from quadjax.race import environment, laps
@@ -386,11 +386,10 @@ def test_policies_that_an_autopilot_cannot_fly_are_refused(tmp_path):
     assert Options("made").target == "cortex-a9"
 
 
-def test_estimators_at_another_rate_than_the_calls_are_refused(tmp_path):
-    text = "--sample-rate 256: --target cortex-a9 calls the estimators at 512 Hz, allowed: that"
-    for name in ("e2e with quaternions", "e2e, axes and more"):
-        with pytest.raises(InputError, match=text):
-            converted_in(tmp_path / "other", *made(name), "cortex-a9", 256.0)
+def test_the_verification_calls_the_pilot_at_the_rate_of_the_export(tmp_path):
+    converted = converted_in(tmp_path, *made("e2e with quaternions"), "cortex-a9", 490.0)
+    sources = Sources.write(converted.target, converted.files(), tmp_path / "c", converted.fixed)
+    assert sources.call_ns == round(1e9 / 490.0)
 
 
 @pytest.mark.slow
