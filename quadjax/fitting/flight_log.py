@@ -12,23 +12,12 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadjax.core.errors import USER_ERRORS, InputError, user_error
+from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.consistency import check_consistency
-from quadjax.fitting.formats import (
-    ATTITUDES,
-    COMMANDS,
-    FROM_FRD,
-    QUANTITIES,
-    TO_NED,
-    UNITS,
-    LogFormat,
-    Quantities,
-    log_format,
-    numbers_of,
-)
-from quadjax.fitting.log_table import LogTable, continuous, interpolated, read_csv, read_head
+from quadjax.fitting.formats import COMMANDS, QUANTITIES, Quantities, log_format
+from quadjax.fitting.log_table import LogTable, read_csv, read_head
 from quadjax.fitting.magnitudes import (
     Recording,
     check_attitude,
@@ -38,6 +27,13 @@ from quadjax.fitting.magnitudes import (
     check_time,
 )
 from quadjax.fitting.motor_evidence import typical_speeds
+from quadjax.fitting.quantities import (
+    called,
+    evenly,
+    quantities_of,
+    to_standard_frames,
+    wanted_columns,
+)
 from quadjax.flights.flight import AXES, MOTORS, RATES, Flight, Signal, motion_signals
 
 STANDIN_LOGS = "standin_logs"
@@ -181,12 +177,12 @@ def read_log(path: Path | str, config: LogsConfig) -> FlightLog:
     """
     form = log_format(config.format)
     if form.read is not None:
-        columns = _users(form.read, path, Path(path))
+        columns = called(form.read, path, Path(path))
         if not isinstance(columns, Mapping):
             raise InputError(f"{path}: the reader gives {columns!r:.40}, expected columns by name")
         return _log(path, LogTable(columns), config)
     header = read_head(path, form.settings)[0]
-    wanted = _wanted(path, config, form, header)
+    wanted = wanted_columns(path, config, form, header)
     names = [name for group in wanted.values() for name in group]
     return _log(path, read_csv(path, names, form.settings), config)
 
@@ -199,70 +195,15 @@ def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) ->
     return _log(path, LogTable(columns, first_row=2), config)
 
 
-def _users(function: Callable, path: Path | str, *arguments: object) -> Any:
-    """What a user's function returns; its errors as one line."""
-    try:
-        return function(*arguments)
-    except InputError as error:
-        line = f"{error}"
-        raise InputError(line if line.startswith(f"{path}") else f"{path}: {line}") from error
-    except USER_ERRORS as error:
-        raise InputError(f"{path}: {user_error(error)}") from error
-
-
-def _wanted(
-    path: Path | str, config: LogsConfig, form: LogFormat, header: Sequence[str]
-) -> dict[str, list[str]]:
-    """Columns of a log to read, by quantity, without those that are optional and absent.
-
-    A quantity with an empty list is not read. ``logs.columns`` for one form of a quantity (world
-    velocity, quaternion) replaces the format's other forms.
-    """
-    preset = dict(form.columns)
-    for quantity, others in form.alternatives.items():
-        choices = [preset[quantity], *others]
-        present = [names for names in choices if set(names) <= set(header)]
-        preset[quantity] = (present or choices)[0]
-    for forms in (("world_velocity", "body_velocity"), ATTITUDES):
-        if any(config.columns.get(name) for name in forms):
-            preset = {name: names for name, names in preset.items() if name not in forms}
-    if "acceleration" in config.columns:
-        preset.pop("acceleration_bias", None)
-    wanted = {}
-    for quantity, names in (preset | dict(config.columns)).items():
-        optional = QUANTITIES[quantity].optional or (
-            quantity == "rpm" and "motor_command" in form.columns
-        )
-        absent = optional and quantity not in config.columns and not set(names) & set(header)
-        if names and not absent:
-            wanted[quantity] = list(names)
-    needed = (
-        (("time",), "time (logs.columns.time)"),
-        (("gyro",), "gyro (logs.columns.gyro)"),
-        (("acceleration",), "acceleration (logs.columns.acceleration)"),
-        (("rpm", "motor_command"), "rpm or motor_command (logs.columns)"),
-        (("body_velocity", "world_velocity"), "body_velocity or world_velocity (logs.columns)"),
-    )
-    for quantities, words in needed:
-        if not set(quantities) & set(wanted):
-            raise InputError(f"{path}: no columns for {words}")
-    if "body_velocity" not in wanted and not set(ATTITUDES) & set(wanted):
-        raise InputError(
-            f"{path}: world_velocity needs columns for {', '.join(ATTITUDES[:-1])} or "
-            f"{ATTITUDES[-1]} (logs.columns)"
-        )
-    return wanted
-
-
 def _log(path: Path | str, table: LogTable, config: LogsConfig) -> FlightLog:
     form = log_format(config.format)
-    names = _wanted(path, config, form, list(table.columns))
-    quantities = _quantities(path, table, names, config, form)
+    names = wanted_columns(path, config, form, list(table.columns))
+    quantities = quantities_of(path, table, names, config, form)
     recording = Recording(str(path), table.where, names, quantities)
     check_time(recording, config)
     check_attitude(recording)
     if form.adjust is not None:
-        adjusted = _users(form.adjust, path, quantities, table.settings)
+        adjusted = called(form.adjust, path, quantities, table.settings)
         recording = replace(recording, quantities=adjusted)
     check_columns(recording)
     check_levels(recording, 1.0 + config.max_scale_error)
@@ -272,7 +213,7 @@ def _log(path: Path | str, table: LogTable, config: LogsConfig) -> FlightLog:
     if frames[1] == "ENU":  # the names in the order of north, east, down
         world = [name for name in names if QUANTITIES[name].frame == "world"]
         names = names | {name: [names[name][i] for i in (1, 0, 2)] for name in world}
-    even, flying = _evenly(standard)
+    even, flying = evenly(standard)
     even["acceleration"] = even["acceleration"] - even.pop("acceleration_bias", 0.0)
     rate = (len(flying) - 1) / float(even["time"][-1] - even["time"][0])
     unchecked = check_consistency(str(path), names, even, rate, flying, frames, config)
@@ -295,99 +236,6 @@ def _log(path: Path | str, table: LogTable, config: LogsConfig) -> FlightLog:
     )
 
 
-def _quantities(
-    path: Path | str,
-    table: LogTable,
-    names: Mapping[str, list[str]],
-    config: LogsConfig,
-    form: LogFormat,
-) -> Quantities:
-    """Quantities (n,) or (n, k) in SI, rpm, and motor commands from 0 to 1.
-
-    Raises:
-        InputError: a missing column, columns of different lengths, or a number that is not finite.
-    """
-    result: Quantities = {}
-    for quantity, group in names.items():
-        columns = []
-        for name in group:
-            if name not in table.columns:
-                raise InputError(f"{path}: column {name!r} is missing")
-            columns.append(values := np.asarray(table.columns[name], np.float64))
-            length = len(result.get("time", columns[0]))
-            if values.shape != (length,):
-                raise InputError(
-                    f"{path}: column {name!r} has shape {values.shape}, expected ({length},)"
-                )
-            for row in np.flatnonzero(~np.isfinite(values))[:1]:
-                raise InputError(
-                    f"{path}: {table.where(row)}, column {name!r} is {values[row]}, expected a "
-                    "finite number"
-                )
-        kind = QUANTITIES[quantity].unit
-        unit = getattr(config.units, kind) or form.units.get(kind) if kind else None
-        values = np.stack(columns, axis=1) * (UNITS[kind][unit] if unit else 1.0)
-        if quantity == "motor_command":
-            low, high = config.motor_range or _motor_range(path, form, table.settings)
-            values = (values - low) / max(high - low, 1e-9)
-        result[quantity] = values[:, 0] if len(group) == 1 else values
-    return result
-
-
-def _motor_range(
-    path: Path | str, form: LogFormat, settings: Mapping[str, str]
-) -> tuple[float, float]:
-    """Motor commands that are 0 and 1: of the log's head, or else of the format."""
-    if form.motor_setting not in settings:
-        return form.motor_range
-    span = numbers_of(settings, form.motor_setting)
-    if len(span) != 2 or span[0] >= span[1]:
-        raise InputError(
-            f"{path}: setting {form.motor_setting} is {settings[form.motor_setting]!r:.80}, "
-            "allowed: the lowest and the highest command"
-        )
-    return span[0], span[1]
-
-
-def to_standard_frames(
-    logged: Quantities, body: str, world: str
-) -> tuple[Quantities, tuple[str, str]]:
-    """Vectors in body FRD and world NED, with body velocity; the attitude as ``quaternion``.
-
-    Args:
-        logged: quantities in the log's frames.
-        body: frame of the log, a key of ``FROM_FRD``, or auto.
-        world: a key of ``TO_NED``, or auto.
-
-    Returns:
-        The quantities, quaternions scalar last, and the two frames.
-    """
-    rotation = None
-    if "quaternion" in logged:
-        rotation = Rotation.from_quat(logged["quaternion"][:, [1, 2, 3, 0]])
-    elif "rotation" in logged:
-        rotation = Rotation.from_matrix(logged["rotation"].reshape(-1, 3, 3))
-    elif "euler" in logged:
-        rotation = Rotation.from_euler("ZYX", logged["euler"][:, ::-1])
-    force = logged["acceleration"] - logged.get("acceleration_bias", 0.0)
-    if body == "auto":
-        body = "FLU" if np.median(force[:, 2]) > 0.0 else "FRD"
-    if world == "auto":
-        up = rotation is not None and rotation.apply(force)[:, 2].mean() > 0.0
-        world = "ENU" if up else "NED"
-    turns = {"body": FROM_FRD[body].inv(), "world": TO_NED[world]}
-    result = {
-        name: turns[frame].apply(values) if (frame := QUANTITIES[name].frame) else values
-        for name, values in logged.items()
-    }
-    if rotation is not None:
-        rotation = TO_NED[world] * rotation * FROM_FRD[body]
-        result["quaternion"] = continuous(rotation.as_quat())
-        if "body_velocity" not in result:
-            result["body_velocity"] = rotation.inv().apply(result["world_velocity"])
-    return result, (body, world)
-
-
 def highest_speed(logs: Sequence[FlightLog]) -> float:
     """The highest speed of some flights, m/s, to 0.1 m/s."""
     speeds = [np.linalg.norm(log.body_velocity[log.flying], axis=1).max() for log in logs]
@@ -400,23 +248,3 @@ def write_log(path: Path | str, columns: Quantities) -> None:
         table = np.stack(list(columns.values()), axis=1)
         header = ",".join(columns)
         np.savetxt(temporary, table, fmt="%.8g", delimiter=",", header=header, comments="")
-
-
-def _evenly(quantities: Quantities) -> tuple[Quantities, np.ndarray]:
-    """Quantities at evenly spaced times, and whether in flight; commands by their last value."""
-    time, steps = quantities["time"], np.diff(quantities["time"])
-    count, usual = len(time), np.median(steps)
-    if np.ptp(steps) > 0.01 * usual:
-        count = int(round((time[-1] - time[0]) / usual)) + 1
-    even = np.linspace(time[0], time[-1], count)
-    nearest = np.clip(np.searchsorted(time, even - 0.5 * usual), 0, len(time) - 1)
-    result = {"time": even}
-    for name in quantities.keys() - {"time", "mode"}:
-        values = quantities[name]
-        if name in COMMANDS:
-            result[name] = values[nearest]
-        else:
-            values = np.unwrap(values, axis=0) if name == "euler" else values
-            result[name] = interpolated(even, time, values)
-    mode = quantities.get("mode")
-    return result, np.ones(count, bool) if mode is None else mode[nearest] > 0

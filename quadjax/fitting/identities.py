@@ -4,14 +4,19 @@ Each identity is a residual, zero but for noise and biases. Arrays have the samp
 last, (.., n, 3), and hypotheses before them.
 """
 
-import functools
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
+from scipy.spatial.transform import Rotation
 
-GRAVITY = np.array([0.0, 0.0, 9.81])  # m/s^2, world
+from quadjax.fitting.changes import AXES, Change
+from quadjax.fitting.formats import FROM_FRD, TO_NED
+from quadjax.vehicle.airframe import GRAVITY
+
 BAND = 5.0  # Hz, of the motion that is compared
 RATE = 50.0  # Hz, least sample rate of the comparison
 EDGE = 0.3  # s, left out at either end, where the filters distort the signals
@@ -20,6 +25,7 @@ SECONDS = 60.0  # longest part of a flight that is compared
 SETTLING = 1.0  # s, time constant with which the direction of gravity is followed
 # Samples of filtered noise are not independent, nor are all errors noise.
 INDEPENDENT = 0.5
+VECTORS = ("gyro", "acceleration", "body_velocity", "world_velocity", "position")
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -45,13 +51,8 @@ class Signals:
 
     def low_pass(self, values: np.ndarray) -> np.ndarray:
         """Signals (.., m, k) below ``BAND``."""
-        return sosfiltfilt(_below(min(BAND, 0.4 * self.rate), self.rate), values, axis=-2)
-
-
-@functools.cache
-def _below(band: float, rate: float) -> np.ndarray:
-    """Sections of a low-pass filter; both in Hz."""
-    return butter(2, band, fs=rate, output="sos")
+        sections = butter(2, min(BAND, 0.4 * self.rate), fs=self.rate, output="sos")
+        return sosfiltfilt(sections, values, axis=-2)
 
 
 def signals_of(quantities: Arrays, flying: np.ndarray, rate: float) -> Signals | None:
@@ -62,38 +63,27 @@ def signals_of(quantities: Arrays, flying: np.ndarray, rate: float) -> Signals |
     part = slice(airborne[0], min(airborne[-1] + 1, airborne[0] + round(SECONDS * rate)))
     every = max(1, int(rate / RATE))
     samples = np.arange(0, part.stop - part.start, every)
-    edge = round(EDGE * rate / every)
+    edge = max(round(EDGE * rate / every), 1)
     inner = flying[part][samples]
-    inner[: max(edge, 1)] = inner[len(inner) - max(edge, 1) :] = False
+    inner[:edge] = inner[len(inner) - edge :] = False
     if np.count_nonzero(inner) <= SHORTEST * rate / every:
         return None
-    sections = butter(4, 0.4 / every, fs=1.0, output="sos") if every > 1 else None
-    values = {
-        name: sosfiltfilt(sections, x[part], axis=0) if every > 1 else x[part]
-        for name, x in quantities.items()
-    }
+    values = {name: x[part] for name, x in quantities.items()}
+    if every > 1:
+        sections = butter(4, 0.4 / every, fs=1.0, output="sos")
+        values = {name: sosfiltfilt(sections, x, axis=0) for name, x in values.items()}
     return Signals(values, samples, inner, 1.0 / rate, rate / every)
 
 
-@dataclass(frozen=True)
-class Identity:
-    """A residual (.., n, k) of quantities, zero but for noise.
+class Identity(NamedTuple):
+    """A residual (.., n, k) of quantities, zero but for noise."""
 
-    Attributes:
-        residual: of the quantities by name and the sample rate.
-        uses: quantities that it depends on.
-        nonlinear: those of them on which it does not depend linearly.
-        bias: standard deviation of its mean that sensors and filters explain.
-        noise: standard deviation below which it is zero.
-        band: Hz, of its noise; 0 where only its mean counts.
-    """
-
-    residual: Callable[[Arrays, float], np.ndarray]
-    uses: tuple[str, ...]
-    nonlinear: tuple[str, ...]
-    bias: float
-    noise: float
-    band: float = BAND
+    residual: Callable[[Arrays, float], np.ndarray]  # of the quantities and the sample rate, Hz
+    linear: tuple[str, ...]  # quantities on which it depends linearly
+    nonlinear: tuple[str, ...]  # others on which it depends
+    bias: float  # standard deviation of its mean that sensors and filters explain
+    noise: float  # standard deviation below which it is zero
+    band: float = BAND  # Hz, of its noise; 0 where only its mean counts
 
 
 def derivative(values: np.ndarray, rate: float) -> np.ndarray:
@@ -110,43 +100,16 @@ def rotate(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return np.einsum("...ij,...j->...i", matrix, vector)
 
 
-def rotate_back(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Vectors (.., n, 3) by the transposes of matrices (.., n, 3, 3)."""
-    return np.einsum("...ji,...j->...i", matrix, vector)
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products of vectors (.., 3)."""
-    x = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
-    y = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
-    z = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return np.stack([x, y, z], axis=-1)
-
-
-def matrices_of_quaternions(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrices (.., 3, 3) of quaternions (.., 4) of any length, scalar last."""
-    x, y, z, w = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
+def matrices_of_angles(angles: np.ndarray) -> np.ndarray:
+    """Rotation matrices (.., 3, 3), body to world, of roll, pitch and yaw (.., 3), rad."""
+    cx, cy, cz = np.moveaxis(np.cos(angles), -1, 0)
+    sx, sy, sz = np.moveaxis(np.sin(angles), -1, 0)
     rows = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+        (cy * cz, sx * sy * cz - cx * sz, cx * sy * cz + sx * sz),
+        (cy * sz, sx * sy * sz + cx * cz, cx * sy * sz - sx * cz),
+        (-sy, sx * cy, cx * cy),
     )
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def quaternions_of_angles(angles: np.ndarray) -> np.ndarray:
-    """Quaternions (.., 4), scalar last, of roll, pitch and yaw (.., 3), rad."""
-    a, b, c = np.moveaxis(np.cos(0.5 * angles), -1, 0)
-    x, y, z = np.moveaxis(np.sin(0.5 * angles), -1, 0)
-    return np.stack(
-        [
-            x * b * c - a * y * z,
-            a * y * c + x * b * z,
-            a * b * z - x * y * c,
-            a * b * c + x * y * z,
-        ],
-        axis=-1,
-    )
 
 
 def turning(q: Arrays, rate: float) -> np.ndarray:
@@ -159,32 +122,25 @@ def turning(q: Arrays, rate: float) -> np.ndarray:
 
 
 def moving(q: Arrays, rate: float) -> np.ndarray:
-    """World velocity less the derivative of the position, m/s."""
-    return q["world_velocity"] - derivative(q["position"], rate)
-
-
-def moving_body(q: Arrays, rate: float) -> np.ndarray:
-    """Body velocity less the derivative of the position, m/s."""
-    return q["body_velocity"] - rotate_back(q["attitude"], derivative(q["position"], rate))
+    """World or body velocity less the derivative of the position, m/s."""
+    slope = derivative(q["position"], rate)
+    if "world_velocity" in q:
+        return q["world_velocity"] - slope
+    return q["body_velocity"] - rotate(q["attitude"].swapaxes(-1, -2), slope)
 
 
 def forcing(q: Arrays, rate: float) -> np.ndarray:
-    """Specific force less that of the world velocity's derivative and gravity, body axes, m/s^2."""
-    slope = derivative(q["world_velocity"], rate)
-    return q["acceleration"] - rotate_back(q["attitude"], slope - GRAVITY)
-
-
-def forcing_body(q: Arrays, rate: float) -> np.ndarray:
-    """The same from the body velocity."""
-    world = rotate(q["attitude"], q["body_velocity"])
-    return forcing({**q, "world_velocity": world}, rate)
+    """Specific force less that of the velocity's derivative and gravity, body axes, m/s^2."""
+    world = "world_velocity" in q
+    velocity = q["world_velocity"] if world else rotate(q["attitude"], q["body_velocity"])
+    slope = derivative(velocity, rate) - GRAVITY * np.eye(3)[2]
+    return q["acceleration"] - rotate(q["attitude"].swapaxes(-1, -2), slope)
 
 
 def gravity(q: Arrays, rate: float) -> np.ndarray:
     """Gravity in body axes by body velocity, gyro and specific force, (.., n, 3), m/s^2."""
     velocity = q["body_velocity"]
-    slope = derivative(velocity, rate) + cross(q["gyro"], velocity)
-    return slope - q["acceleration"]
+    return derivative(velocity, rate) + np.cross(q["gyro"], velocity) - q["acceleration"]
 
 
 def turning_gravity(q: Arrays, rate: float) -> np.ndarray:
@@ -195,7 +151,7 @@ def turning_gravity(q: Arrays, rate: float) -> np.ndarray:
     residual = np.empty_like(measured)
     turned = measured[..., : round(rate), :].mean(axis=-2)
     for i in range(measured.shape[-2]):
-        turned = (turned - cross(turns[..., i, :], turned)) / sizes[..., i, :]
+        turned = (turned - np.cross(turns[..., i, :], turned)) / sizes[..., i, :]
         residual[..., i, :] = measured[..., i, :] - turned
         turned = turned + residual[..., i, :] / (SETTLING * rate)
     return residual
@@ -203,33 +159,126 @@ def turning_gravity(q: Arrays, rate: float) -> np.ndarray:
 
 def gravity_size(q: Arrays, rate: float) -> np.ndarray:
     """Gravity along its direction by the columns as logged, less 9.81 m/s^2, (.., n, 1)."""
-    along = (gravity(q, rate) * q["down"]).sum(axis=-1, keepdims=True)
-    return along - GRAVITY[2]
+    return (gravity(q, rate) * q["down"]).sum(axis=-1, keepdims=True) - GRAVITY
 
 
-TURNING = Identity(turning, ("gyro", "attitude"), ("attitude",), bias=0.1, noise=0.01)
-MOVING = Identity(moving, ("world_velocity", "position"), (), bias=0.3, noise=0.02)
-MOVING_BODY = Identity(
-    moving_body, ("body_velocity", "position", "attitude"), ("attitude",), bias=0.3, noise=0.02
-)
-FORCING = Identity(
-    forcing, ("acceleration", "world_velocity", "attitude"), ("attitude",), bias=0.5, noise=0.05
-)
-FORCING_BODY = Identity(
-    forcing_body, ("acceleration", "body_velocity", "attitude"), ("attitude",), bias=0.5, noise=0.05
-)
-TURNING_GRAVITY = Identity(
-    turning_gravity, ("gyro", "acceleration", "body_velocity"), ("gyro",), bias=0.5, noise=0.05
-)
-GRAVITY_SIZE = Identity(
-    gravity_size, ("acceleration", "body_velocity"), (), bias=0.5, noise=0.05, band=0.0
-)
+@dataclass(frozen=True)
+class Evidence:
+    """A log's signals and the identities that they have to fulfill."""
+
+    signals: Signals
+    quantities: Arrays  # (m, 3) as logged, the attitude (m, 3, 3)
+    identities: tuple[Identity, ...]
+    frames: tuple[str, str]  # of the log: body and world
+
+    def gains(self, quantity: str, changes: Sequence[Change]) -> np.ndarray:
+        """Gains (h,) of log-likelihood by changes of one vector quantity or of the attitude."""
+        rows = [Change(), *changes]
+        likelihoods = np.zeros(len(rows))
+        matrices = np.stack([change.matrix for change in rows])
+        late = np.array([change.delay != 0.0 for change in rows])
+        every = np.ones(len(rows), bool)
+        nonlinear = any(quantity in identity.nonlinear for identity in self.identities)
+        evaluated = np.flatnonzero(every if nonlinear else late)
+        corrected = self._corrected(quantity, [rows[i] for i in evaluated.tolist()])
+        # A residual gains likelihood merely because a correction makes it smaller.
+        shrinking = np.maximum(-np.log(np.linalg.norm(matrices, axis=2)), 0.0).sum(axis=1)
+        for identity in self.identities:
+            if quantity not in identity.linear + identity.nonlinear:
+                continue
+            each = late if quantity in identity.linear else every
+            mean, square = np.empty((2, len(rows), 1 if identity.band == 0.0 else 3))
+            if each.any():
+                residual = self._residual(identity, quantity, corrected[each[evaluated]])
+                mean[each], square[each] = residual.mean(axis=1), (residual**2).mean(axis=1)
+            if not each.all():
+                moments = self._linear_moments(identity, quantity, matrices[~each])
+                mean[~each], square[~each] = moments
+            count = self.signals.count(identity.band)
+            variance = np.maximum(square - mean**2, 0.0) + identity.noise**2
+            axes = -0.5 * count * np.log(variance) - 0.5 * (mean / identity.bias) ** 2
+            likelihoods += axes.sum(axis=1) - count * shrinking
+        return likelihoods[1:] - likelihoods[0]
+
+    def gains_unrelated(self, quantity: str) -> np.ndarray:
+        """Gains (3,) of log-likelihood if a column of a vector contains something else.
+
+        Then the residual is larger than each of its two independent parts, that of the column and
+        that of all other columns. Otherwise it is smaller than one of them, unless both are noise.
+        """
+        gains, values = np.zeros(3), self.quantities[quantity]
+        stack = np.stack([values, *(values * (np.arange(3) != i) for i in AXES)])
+        for identity in self.identities:
+            if quantity in identity.linear:
+                whole, *others = self._residual(identity, quantity, stack)
+                for i, rest in enumerate(others):
+                    sizes = [x.var(axis=0) + identity.noise**2 for x in (whole, rest, whole - rest)]
+                    ratio = sizes[0] / np.maximum(sizes[1], sizes[2])
+                    gains[i] += 0.5 * self.signals.count(identity.band) * np.log(ratio).sum()
+        return gains
+
+    def _residual(self, identity: Identity, quantity: str, stack: np.ndarray) -> np.ndarray:
+        """Residuals (h, i, k) of the inner samples for a quantity's values (h, m, ..)."""
+        quantities, signals = {**self.quantities, quantity: stack}, self.signals
+        return signals.low_pass(identity.residual(quantities, signals.rate))[:, signals.inner]
+
+    def _linear_moments(
+        self, identity: Identity, quantity: str, matrices: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Means and mean squares (h, k) of a residual under matrices (h, 3, 3) on a quantity.
+
+        The residual is one without the quantity, plus one for each element of the matrix.
+        """
+        values = self.quantities[quantity]
+        stack = np.zeros((10, *values.shape))
+        for i, k in itertools.product(AXES, AXES):
+            stack[1 + 3 * i + k, :, i] = values[:, k]
+        parts = self._residual(identity, quantity, stack)
+        parts[1:] -= parts[0]
+        gram = np.einsum("hni,gni->ihg", parts, parts, optimize=True) / parts.shape[1]
+        elements = np.pad(matrices.reshape(-1, 9), ((0, 0), (1, 0)), constant_values=1.0)
+        return elements @ parts.mean(axis=1), ((elements @ gram) * elements).sum(axis=2).T
+
+    def _corrected(self, quantity: str, changes: Sequence[Change]) -> np.ndarray:
+        """A quantity after each change, (h, m, 3), or (h, m, 3, 3) of the attitude."""
+        at, form = self.signals.at, quantity
+        if quantity == "attitude":
+            form = "euler" if "euler" in self.signals.values else "quaternion"
+        values = np.stack([at(form, change.delay) for change in changes])
+        for row, change in zip(values, changes, strict=True):
+            if len(change.columns) == 1 and change.delay:
+                others = [i for i in AXES if i not in change.columns]
+                row[:, others] = at(form)[:, others]
+        matrices = np.stack([change.matrix for change in changes])
+        values[..., :3] = values[..., :3] @ matrices.swapaxes(1, 2)
+        if quantity != "attitude":
+            return values
+        if form == "quaternion":
+            rotation = Rotation.from_quat(values.reshape(-1, 4))
+            return rotation.as_matrix().reshape(*values.shape[:2], 3, 3)
+        body, world = self.frames
+        return TO_NED[world].as_matrix() @ matrices_of_angles(values) @ FROM_FRD[body].as_matrix()
 
 
-def log_likelihood(
-    identity: Identity, mean: np.ndarray, square: np.ndarray, count: float
-) -> np.ndarray:
-    """Of residuals with means and mean squares (.., k), each axis with its noise."""
-    variance = np.maximum(square - mean**2, 0.0) + identity.noise**2
-    likelihood = -0.5 * count * np.log(variance) - 0.5 * (mean / identity.bias) ** 2
-    return likelihood.sum(axis=-1)
+def evidence_of(signals: Signals, names: Mapping[str, object], frames: tuple[str, str]) -> Evidence:
+    """The identities that the quantities of a log have to fulfill."""
+    quantities = {name: signals.at(name) for name in VECTORS if name in signals.values}
+    if "quaternion" not in signals.values:
+        measured = gravity(quantities, signals.rate)
+        down = measured - turning_gravity(quantities, signals.rate)
+        quantities["down"] = down / np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9)
+        used = ("acceleration", "body_velocity")
+        direction = Identity(turning_gravity, used, ("gyro",), bias=0.5, noise=0.05)
+        size = Identity(gravity_size, used, (), bias=0.5, noise=0.05, band=0.0)
+        return Evidence(signals, quantities, (direction, size), frames)
+    quantities["attitude"] = Rotation.from_quat(signals.at("quaternion")).as_matrix()
+    world = "world_velocity" in names
+    velocity = "world_velocity" if world else "body_velocity"
+    laws = [
+        Identity(turning, ("gyro",), ("attitude",), bias=0.1, noise=0.01),
+        Identity(forcing, ("acceleration", velocity), ("attitude",), bias=0.5, noise=0.05),
+    ]
+    if "position" in quantities:
+        attitude: tuple[str, ...] = () if world else ("attitude",)
+        laws.append(Identity(moving, (velocity, "position"), attitude, bias=0.3, noise=0.02))
+    return Evidence(signals, quantities, tuple(laws), frames)

@@ -39,52 +39,6 @@ def typical_speeds(command: np.ndarray, sample_rate: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Moments:
-    """Second moments of the angular accelerations and of the rotors' effects on them."""
-
-    effects: np.ndarray  # (12, 12) of squared speeds, speeds and their derivatives
-    product: np.ndarray  # (12, 3) of effects and angular accelerations
-    turning: np.ndarray  # (3, 3) of angular accelerations
-    count: float  # of independent samples
-
-    def likelihood(self, orders: np.ndarray, spins: np.ndarray, gyro: np.ndarray) -> np.ndarray:
-        """Log-likelihoods (h, 3) of roll, pitch and yaw, relative to rotors without effect.
-
-        Args:
-            orders: (h, 4) column of each motor.
-            spins: (h,) -1 for propellers that turn the other way.
-            gyro: (h, 3, 3), by which the rates are changed.
-        """
-        yaw = np.stack([np.ones_like(spins), np.ones_like(spins), spins], axis=1)
-        mixer = (yaw[:, :, None] * MIXER) @ np.eye(4)[orders]
-        total = np.zeros((len(orders), 3))
-        for axis, blocks in enumerate(((0,), (0,), (1, 2))):
-            weights = np.zeros((len(orders), len(blocks), 12))
-            for row, block in enumerate(blocks):
-                weights[:, row, 4 * block : 4 * block + 4] = mixer[:, axis]
-            gram = weights @ self.effects @ weights.swapaxes(1, 2)
-            product = (weights @ self.product @ gyro[:, axis, :, None])[..., 0]
-            energy = ((gyro[:, axis] @ self.turning) * gyro[:, axis]).sum(axis=1)
-            explained = _explained(gram, product) / np.maximum(energy, 1e-12)
-            total[:, axis] = -0.5 * self.count * np.log1p(-np.clip(explained, 0.0, 1.0 - 1e-9))
-        return total
-
-
-def _explained(gram: np.ndarray, product: np.ndarray) -> np.ndarray:
-    """Energy (h,) that one or two effects explain with non-negative factors."""
-    positive = np.maximum(product, 0.0)
-    diagonal = np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-12)
-    best = (positive**2 / diagonal).max(axis=1)
-    if product.shape[1] == 1:
-        return best
-    determinant = np.maximum(diagonal.prod(axis=1) - gram[:, 0, 1] ** 2, 1e-12)
-    first = (diagonal[:, 1] * product[:, 0] - gram[:, 0, 1] * product[:, 1]) / determinant
-    second = (diagonal[:, 0] * product[:, 1] - gram[:, 0, 1] * product[:, 0]) / determinant
-    both = first * product[:, 0] + second * product[:, 1]
-    return np.where((first > 0.0) & (second > 0.0), np.maximum(both, best), best)
-
-
-@dataclass(frozen=True)
 class MotorEvidence:
     """What relates the motors of a log to its rates and commands: band-passed samples."""
 
@@ -97,68 +51,85 @@ class MotorEvidence:
     rate: float  # Hz
     counts: tuple[float, float]  # of independent samples: of the moments, of the commands
 
-    def gains_of_gyro(self, changes: Sequence[Change]) -> np.ndarray:
-        """Gains (h,) of log-likelihood by changes of the gyro."""
-        total = self._moments([Change("gyro", ()), *changes], -1.0)
+    def gains(self, cause: str, changes: Sequence[Change]) -> np.ndarray:
+        """Gains (h,) of log-likelihood by changes of the "gyro", the "speeds" or the "commands"."""
+        rows = [Change(), *changes]
+        sign = 1.0 if cause == "speeds" else -1.0  # of the delay of the speeds
+        total = np.zeros(len(rows))
+        if cause != "commands":
+            total += self._moments(rows, sign)
+        if cause != "gyro" and self.followed is not None:
+            following = self._following(self.followed, rows, sign)
+            following = following if cause == "speeds" else following.swapaxes(1, 2)
+            orders = np.array([change.order for change in rows])[:, None]
+            total += np.take_along_axis(following, orders, 1).sum(axis=(1, 2))
         return total[1:] - total[0]
 
-    def gains_of_speeds(self, changes: Sequence[Change]) -> np.ndarray:
-        """Gains (h,) of log-likelihood by changes of the rotors' speeds."""
-        rows = [Change("rpm", ()), *changes]
-        orders = np.array([change.order for change in rows])
-        following = np.take_along_axis(self._following(rows, 1.0), orders[:, None], 1)
-        total = self._moments(rows, 1.0) + following.sum(axis=(1, 2))
-        return total[1:] - total[0]
-
-    def gains_of_commands(self, changes: Sequence[Change]) -> np.ndarray:
-        """Gains (h,) of log-likelihood by changes of the motors' commands."""
-        rows = [Change("command", ()), *changes]
-        orders = np.array([change.order for change in rows])
-        following = np.take_along_axis(self._following(rows, -1.0), orders[:, :, None], 2)
-        total = following.sum(axis=(1, 2))
-        return total[1:] - total[0]
-
-    def _late(self, delay: float) -> np.ndarray:
-        """Indices (i,) of the inner samples of a signal that is late by ``delay`` s."""
-        return np.clip(self.inner + round(delay * self.rate), 0, len(self.effects) - 1)
+    def _late(self, values: np.ndarray, delay: float) -> np.ndarray:
+        """The inner samples (i, k) of signals (m, k) that are late by ``delay`` s."""
+        return values[np.clip(self.inner + round(delay * self.rate), 0, len(values) - 1)]
 
     def _moments(self, changes: Sequence[Change], sign: float) -> np.ndarray:
-        """Log-likelihoods (h,) of the angular accelerations; ``sign`` -1: others are late."""
-        orders = np.array([change.order for change in changes])
-        spins = np.array([change.spin for change in changes])
-        gyro = np.stack([change.matrix for change in changes])
-        total = self._moments_at(0.0).likelihood(orders, spins, gyro)
-        for i, change in enumerate(changes):
-            if change.delay:
-                axes = list(change.columns[:3])  # of the gyro, or all three for the motors
-                late, row = self._moments_at(sign * change.delay), slice(i, i + 1)
-                likelihood = late.likelihood(orders[row], spins[row], gyro[row])[0]
-                total[i, axes] = likelihood[axes]
+        """Log-likelihoods (h,) of the angular accelerations; ``sign`` -1: they are late."""
+        total = self._moments_at(0.0, changes)
+        delays = np.array([change.delay for change in changes])
+        axes = np.array([[i in change.columns for i in range(3)] for change in changes])
+        for delay in np.unique(delays[delays != 0.0]):
+            rows = np.flatnonzero(delays == delay)
+            late = self._moments_at(sign * delay, [changes[i] for i in rows.tolist()])
+            total[rows] = np.where(axes[rows], late, total[rows])
         return total.sum(axis=1)
 
-    def _moments_at(self, delay: float) -> Moments:
-        effects = self.effects[self._late(delay)]
+    def _moments_at(self, delay: float, changes: Sequence[Change]) -> np.ndarray:
+        """Log-likelihoods (h, 3) of roll, pitch and yaw, relative to rotors without effect."""
+        effects = self._late(self.effects, delay)
         effects = effects - self.others @ (self.others.T @ effects)
-        turning = self.turning
-        return Moments(
-            effects.T @ effects, effects.T @ turning, turning.T @ turning, self.counts[0]
-        )
+        gyro = np.stack([change.matrix for change in changes])
+        energy = ((gyro @ (self.turning.T @ self.turning)) * gyro).sum(axis=2)
+        mixer = MIXER @ np.eye(4)[[change.order for change in changes]]
+        mixer[:, 2] *= np.array([[change.spin] for change in changes])
+        explained = np.empty_like(energy)
+        for axis, blocks in enumerate(((0,), (0,), (1, 2))):
+            weights = np.zeros((len(changes), len(blocks), 12))
+            for row, block in enumerate(blocks):
+                weights[:, row, 4 * block : 4 * block + 4] = mixer[:, axis]
+            gram = weights @ (effects.T @ effects) @ weights.swapaxes(1, 2)
+            product = weights @ (effects.T @ self.turning) @ gyro[:, axis, :, None]
+            explained[:, axis] = _explained(gram, product[..., 0])
+        explained /= np.maximum(energy, 1e-12)
+        return -0.5 * self.counts[0] * np.log1p(-np.clip(explained, 0.0, 1.0 - 1e-9))
 
-    def _following(self, changes: Sequence[Change], sign: float) -> np.ndarray:
+    def _following(
+        self, followed: np.ndarray, changes: Sequence[Change], sign: float
+    ) -> np.ndarray:
         """Log-likelihoods (h, 4, 4) that a speed (row) follows a command (column)."""
-        if self.followed is None:
-            return np.zeros((len(changes), 4, 4))
-        causes = self.followed[self.inner] - self.followed[self.inner].mean(axis=0)
-        causes /= np.maximum(np.linalg.norm(causes, axis=0), 1e-12)
-        correlations: dict[float, np.ndarray] = {}
-        for delay in {change.delay for change in changes}:
-            speeds = self.speeds[self._late(sign * delay)]
-            speeds = speeds - speeds.mean(axis=0)
-            speeds /= np.maximum(np.linalg.norm(speeds, axis=0), 1e-12)
-            correlations[delay] = speeds.T @ causes
-        correlation = np.stack([correlations[change.delay] for change in changes])
+        delays = [change.delay for change in changes]
+        causes = _normal(self._late(followed, 0.0))
+        correlations = {
+            delay: _normal(self._late(self.speeds, sign * delay)).T @ causes
+            for delay in set(delays)
+        }
+        correlation = np.stack([correlations[delay] for delay in delays])
         explained = np.clip(correlation, 0.0, 1.0 - 1e-4) ** 2
         return -0.5 * self.counts[1] * np.log1p(-explained)
+
+
+def _normal(values: np.ndarray) -> np.ndarray:
+    """Signals (i, k) less their means, of length 1."""
+    values = values - values.mean(axis=0)
+    return values / np.maximum(np.linalg.norm(values, axis=0), 1e-12)
+
+
+def _explained(gram: np.ndarray, product: np.ndarray) -> np.ndarray:
+    """Energy (h,) that one or two effects explain with non-negative factors."""
+    diagonal = np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-12)
+    best = (np.maximum(product, 0.0) ** 2 / diagonal).max(axis=1)
+    if product.shape[1] == 1:
+        return best
+    determinant = np.maximum(diagonal.prod(axis=1) - gram[:, 0, 1] ** 2, 1e-12)[:, None]
+    factors = (diagonal[:, ::-1] * product - gram[:, :1, 1] * product[:, ::-1]) / determinant
+    both = (factors * product).sum(axis=1)
+    return np.where((factors > 0.0).all(axis=1), np.maximum(both, best), best)
 
 
 def motor_evidence(signals: Signals) -> MotorEvidence:
