@@ -111,6 +111,7 @@ def flown():
     return first_seconds(simulated(1, (5, 0.7, (0.008, 0.008, 0.003)), SensorNoise()), 4.0)
 
 
+@pytest.mark.slow
 def test_every_fault_of_a_short_flight_is_refused(flown):
     assert accepted(flown, "paparazzi", "flight") == {}
     assert log_of_columns(flown, LogsConfig(format="paparazzi"), "flight").unchecked == ()
@@ -220,6 +221,7 @@ def test_motors_need_not_follow_all_of_a_change(flown):
     log_of_columns(flown | hasty, LogsConfig(format="paparazzi"), "flight")
 
 
+@pytest.mark.slow
 def test_every_fault_is_refused_without_attitude_and_position(flown):
     plain = without_attitude(log_of_columns(flown, LogsConfig(format="paparazzi"), "flight"))
     assert log_of_columns(plain, LogsConfig(), "flight").unchecked == ()
