@@ -26,10 +26,16 @@ static uint32_t is_close(uint64_t a, uint64_t b, uint64_t parts) {
 
 /* Whether the nearest whole number of calls is a period. */
 static uint32_t is_whole(uint32_t period_ns, uint32_t call_ns) {
-  const uint64_t calls = (2U * (uint64_t)period_ns + call_ns - 1U) / (2U * (uint64_t)call_ns);
-  const uint64_t time = calls * call_ns;
+  if (call_ns == 0U) {
+    return 0U;
+  }
+  const float calls = (float)period_ns / (float)call_ns + 0.5F; /* not in integers: no library */
+  if (calls >= 4294967040.0F) {
+    return 0U;
+  }
+  const uint64_t time = (uint64_t)(uint32_t)calls * call_ns;
   const uint64_t apart = (time > period_ns) ? time - period_ns : period_ns - time;
-  return ((calls != 0U) && (STEP_PARTS * apart <= STEP_ERROR * time)) ? 1U : 0U;
+  return ((time != 0U) && (STEP_PARTS * apart <= STEP_ERROR * time)) ? 1U : 0U;
 }
 
 /* Why an autopilot cannot fly a policy, or 0. */
