@@ -224,4 +224,4 @@ def test_the_authors_policies_fly_the_times_of_table_1(tmp_path, capsys, files, 
     result = json.loads(laps.read_text())
     assert result["finished"] == result["runs"] == 20 and not result["deterministic"]
     assert np.mean(result["totals"]) == pytest.approx(row.total, abs=0.1)
-    assert row.label in capsys.readouterr().out
+    assert row.policy in capsys.readouterr().out
