@@ -295,7 +295,9 @@ def _model(
     report: Report,
 ) -> tuple[Model | None, str]:
     """The model of a round, or why the logs do not give one."""
-    refused = folder / "no_model.txt"
+    refused, path = folder / "no_model.txt", folder / "model.json"
+    if path.exists():
+        return Model.from_json(read_json(path), path), ""
     if not refused.exists():
         try:
             if not recent:

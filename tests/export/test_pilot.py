@@ -266,7 +266,7 @@ def test_commands_are_those_of_numpy(glue):
     assert not glue.wrong
     rate = glue.converted.policy.vehicle == "rate"
     rng = np.random.default_rng(1)
-    for _ in range(2):  # the second race begins anew
+    for _ in range(2):  # the second race starts over
         rows = rows_of(rng, 25, rate)
         glue.step(rows[0], flying=False)
         found = np.array([glue.step(row) for row in rows])
