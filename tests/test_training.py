@@ -272,7 +272,7 @@ def test_a_moved_run_is_resumed_evaluated_and_exported(tmp_path):
     for key, value in first.items():
         np.testing.assert_array_equal(value, second[key], err_msg=key)
     laps = evaluate(moved / "policy.npz", moved / "config.yaml", runs=1, deterministic=True)
-    assert laps.lap_times.shape == (1, 1) and len(laps.gates) == 2
+    assert laps.lap_times.shape == (1, 1) and len(laps.best.gates) == 2
     alone = (moved / "policy.npz").rename(tmp_path / "alone.npz")
     shutil.rmtree(moved)
     policy = Policy.load(alone)
