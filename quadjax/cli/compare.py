@@ -6,10 +6,15 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from quadjax import compare as comparison
 from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
-from quadjax.core.interruptions import loading
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.core.folders import results
 from quadjax.core.resources import PRETRAINED
+from quadjax.evaluation.conditions import read_conditions
+from quadjax.plant.config import load_plant_config
 
 Part = Literal["table", "plants"]
 
@@ -56,14 +61,6 @@ def compare(
         seed: Seed of batteries, gusts and sensors.
     """
     started = time.monotonic()
-    with loading():
-        from quadjax import compare as comparison
-        from quadjax.config.loading import load_config
-        from quadjax.core.errors import InputError
-        from quadjax.core.folders import results
-        from quadjax.evaluation.conditions import read_conditions
-        from quadjax.plant.config import load_plant_config
-
     chosen, folder = tuple(parts or comparison.PARTS), output / name
     if "plants" not in chosen:
         opt.refuse("without the part plants (--parts)", "conditions", "plants")

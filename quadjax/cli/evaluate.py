@@ -3,25 +3,42 @@
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 from cyclopts import Group, Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import note, steps, wrote
+from quadjax.config.loading import load_config
+from quadjax.config.race import race_of
+from quadjax.config.schema import Config as RaceConfig
 from quadjax.core.errors import InputError
-from quadjax.core.interruptions import loading
+from quadjax.core.files import write_json
+from quadjax.core.folders import results
+from quadjax.core.plotting import save_figure
 from quadjax.core.resources import PRETRAINED, policy_names, preset_names
+from quadjax.evaluation.conditions import read_conditions
+from quadjax.evaluation.evaluate import Evaluation, joined, tabulate
+from quadjax.evaluation.evaluate import evaluate as fly
+from quadjax.evaluation.report import FILES as REPORT_FILES
+from quadjax.evaluation.report import write_report
+from quadjax.export.actor import fixed_point_fly
+from quadjax.export.race_tables import track_ranges
+from quadjax.export.ranges import parse_overrides
+from quadjax.policy.file import Policy
+from quadjax.policy.pilot import fit_race
+from quadjax.policy.race import policy_path, race_of_policy
+from quadjax.race.laps import Actor
+from quadjax.sources import load_groups
 
-if TYPE_CHECKING:
-    from quadjax.config.schema import Config as RaceConfig
-    from quadjax.evaluation.evaluate import Evaluation
-    from quadjax.policy.file import Policy
-    from quadjax.race.laps import Actor
-
-DRAWINGS = ("states", "figure", "figure_3d", "signals", "attitude", "animation")
-LENGTHS = ("laps", "gates", "seconds")
-OF_LAPS = ("fixed_point", "range_", "offsets", *DRAWINGS)
+FIGURES = {
+    "figure": Evaluation.plot,
+    "figure_3d": Evaluation.plot_3d,
+    "signals": Evaluation.plot_signals,
+    "attitude": Evaluation.plot_attitude,
+}
+OF_LAPS = ("fixed_point", "range_", "offsets", "states", *FIGURES, "animation")
 RECORDED = Group("Recorded flights, in place of policies", sort_key=2)
 States = Annotated[
     Path | None,
@@ -131,110 +148,76 @@ def evaluate(
         opt.refuse_others("with --flights", "flights", "logs", "report", "overwrite")
         return _report(config or "e2e", overrides, flights, logs, report, overwrite)
     opt.refuse("without --flights", "logs", "report", "overwrite")
-    opt.exclude(*LENGTHS)
+    opt.exclude("laps", "gates", "seconds")
     if policy is None and config is not None:
         raise InputError("--policy is missing: the file of the policy, or a shipped one's name")
     if range_ and not fixed_point:
         raise InputError("--range is allowed only with --fixed-point")
     files = policy or [PRETRAINED / f"{name}.npz" for name in policy_names()]
     conditions = "protocols" if conditions is None and len(files) > 1 else conditions
-    common: dict[str, Any] = {
-        "laps": laps,
-        "gates": gates,
-        "seconds": seconds,
-        "runs": runs,
-        "seed": seed,
-    }
-    common |= {"plant": plant, "plants": plants, "body_radius": body}
-    paths = (states, figure, figure_3d, signals, attitude, animation)
-    pairs = zip(DRAWINGS, paths, strict=True)
-    drawings = {name: path for name, path in pairs if path is not None}
-    if conditions is None:
+    listed = None if conditions is None else read_conditions(conditions, only)
+    if listed is None:
         opt.refuse("without --conditions", "only")
     else:
         opt.refuse(f"with --conditions {conditions}", *OF_LAPS)
-    with loading():
-        from quadjax.core.files import write_json
-        from quadjax.evaluation.conditions import read_conditions
-        from quadjax.evaluation.evaluate import evaluate as fly
-        from quadjax.evaluation.evaluate import joined, tabulate
-
-    listed = None if conditions is None else read_conditions(conditions, only)
-    for name in ("start", "deterministic"):
-        if listed is not None and all(getattr(c, name) is not None for c in listed.conditions):
-            opt.refuse(f"with --conditions {conditions}", name)
-    entries = [_entry(file, config, overrides) for file in files]
+        for name in ("start", "deterministic"):
+            if all(getattr(condition, name) is not None for condition in listed.conditions):
+                opt.refuse(f"with --conditions {conditions}", name)
+    entries = [_entry(policy_path(file), config, overrides) for file in files]
+    common: dict[str, Any] = {"laps": laps, "gates": gates, "seconds": seconds, "runs": runs}
+    common |= {"start": start, "seed": seed, "plant": plant, "plants": plants, "body_radius": body}
+    paths = (states, figure, figure_3d, signals, attitude, animation)
+    drawings = dict(zip(("states", *FIGURES, "animation"), paths, strict=True))
     with steps() as show:
         show("compiling and simulating")
         if listed is not None:
-            options = common | {"conditions": listed, "progress": show}
-            options |= {"start": start, "deterministic": deterministic or None}
-            flown = joined([fly(*entry, name=file, **options) for file, entry in entries])
+            common |= {"conditions": listed, "progress": show}
+            common |= {"deterministic": deterministic or None}
+            flown = joined([fly(*entry, name=file, **common) for file, entry in entries])
             text, record = flown.table(format), flown.to_json()
         else:
-            (file, entry), common = entries[0], common | {"start": start}
+            file, entry = entries[0]
             common |= {"name": file}
             if fixed_point:
-                actor = _fixed_point(*entry, range_ or ())
-                results = {
-                    "fixed point, mean": fly(*entry, deterministic=True, actor=actor, **common)
-                }
-            else:
-                modes = (True,) if deterministic else (False, True)
-                both = [fly(*entry, deterministic=mean, **common) for mean in modes]
-                results = {result.label(): result for result in both}
-            first = next(iter(results.values()))
-            text, record = tabulate(results, format or "text"), first.to_json()
-            text += _offsets(first) if offsets else ""
+                common |= {"actor": _fixed_point(*entry, range_ or ())}
+            modes = (True,) if deterministic or fixed_point else (False, True)
+            flights_of = [fly(*entry, deterministic=mean, **common) for mean in modes]
+            first = flights_of[0]
+            labels = ["fixed point, mean"] if fixed_point else [x.label() for x in flights_of]
+            text = tabulate(dict(zip(labels, flights_of, strict=True)), format or "text")
+            text, record = text + (_offsets(first) if offsets else ""), first.to_json()
             _draw(first, drawings, show)
         if json is not None:
             write_json(json, record)
     print(text)
-    wrote(json, *drawings.values())
+    wrote(json, *paths)
 
 
 def _entry(
     path: Path, config: str | None, overrides: Sequence[str]
-) -> tuple[str, tuple["Policy", "RaceConfig"]]:
+) -> tuple[str, tuple[Policy, RaceConfig]]:
     """The path of a policy file; the policy and the race that it flies."""
-    from quadjax.config.loading import load_config
-    from quadjax.config.race import race_of
-    from quadjax.policy.file import Policy
-    from quadjax.policy.pilot import fit_race
-    from quadjax.policy.race import policy_path, race_of_policy
-
-    file = policy_path(path)
-    if config is None:
-        policy = Policy.load(file)
-        try:
-            race, _ = race_of_policy(policy, file, report=note)
-        except InputError as error:
-            text = str(error).replace("config=CONFIG", "quadjax evaluate CONFIG")
-            raise InputError(text) from None
-    else:
-        race = load_config(config, overrides)
-        policy = Policy.load(file, race)
-    fit_race(*race_of(race), policy, str(file))
-    return str(file), (policy, race)
+    race = None if config is None else load_config(config, overrides)
+    policy = Policy.load(path, race)
+    try:
+        race, _ = race_of_policy(policy, path, race, report=note)
+    except InputError as error:
+        text = str(error).replace("config=CONFIG", "quadjax evaluate CONFIG")
+        raise InputError(text) from None
+    fit_race(*race_of(race), policy, str(path))
+    return str(path), (policy, race)
 
 
-def _fixed_point(policy: "Policy", race: "RaceConfig", ranges: Sequence[str]) -> "Actor":
+def _fixed_point(policy: Policy, race: RaceConfig, ranges: Sequence[str]) -> Actor:
     """The arithmetic of C that is exported with ranges, as an actor."""
-    from quadjax.config.race import race_of
-    from quadjax.export.actor import fixed_point_fly
-    from quadjax.export.race_tables import track_ranges
-    from quadjax.export.ranges import parse_overrides
-
     _, params = race_of(race)
     return fixed_point_fly(
         policy, track_ranges(policy.layout, params.track) | parse_overrides(list(ranges))
     )
 
 
-def _offsets(evaluation: "Evaluation") -> str:
+def _offsets(evaluation: Evaluation) -> str:
     """A line on the distances from the gates' centers; none where no gate is passed."""
-    import numpy as np
-
     offsets = evaluation.gate_offsets
     if not offsets.size:
         return ""
@@ -244,25 +227,19 @@ def _offsets(evaluation: "Evaluation") -> str:
 
 
 def _draw(
-    evaluation: "Evaluation", files: Mapping[str, Path], report: Callable[[str], None]
+    evaluation: Evaluation, files: Mapping[str, Path | None], report: Callable[[str], None]
 ) -> None:
     """Write the states, the figures and the animation, by their options."""
-    from quadjax.core.plotting import save_figure
-
-    figures = {
-        "figure": evaluation.plot,
-        "figure_3d": evaluation.plot_3d,
-        "signals": evaluation.plot_signals,
-        "attitude": evaluation.plot_attitude,
-    }
     frames = itertools.count(1)
     for option, path in files.items():
-        if option == "states":
+        if path is None:
+            continue
+        if option in FIGURES:
+            save_figure(FIGURES[option](evaluation), path)
+        elif option == "states":
             evaluation.save_states(path)
-        elif option == "animation":
-            evaluation.animate(path, lambda: report(f"animation, frame {next(frames)}"))
         else:
-            save_figure(figures[option](), path)
+            evaluation.animate(path, lambda: report(f"animation, frame {next(frames)}"))
 
 
 def _report(
@@ -274,13 +251,6 @@ def _report(
     overwrite: bool,
 ) -> None:
     """Tables and figures of recorded flights."""
-    with loading():
-        from quadjax.config.loading import load_config
-        from quadjax.core.folders import results
-        from quadjax.evaluation.report import FILES as REPORT_FILES
-        from quadjax.evaluation.report import write_report
-        from quadjax.sources import load_groups
-
     race = load_config(config, overrides)
     groups = load_groups(flights, race.track, logs.columns() if logs.logs else None)
     with results(folder, "report", REPORT_FILES, overwrite) as new:

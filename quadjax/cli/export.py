@@ -7,7 +7,8 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
-from quadjax.core.interruptions import loading
+from quadjax.export.convert import export_c
+from quadjax.export.ranges import parse_overrides
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS
 
 
@@ -49,10 +50,6 @@ def export(
         overwrite: Write to a folder that no export made, and replace its files of the same
             names.
     """
-    with loading():
-        from quadjax.export.convert import export_c
-        from quadjax.export.ranges import parse_overrides
-
     result = export_c(
         policy,
         output,

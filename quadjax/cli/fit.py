@@ -8,8 +8,13 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
-from quadjax.core.interruptions import loading
+from quadjax.core.folders import results
 from quadjax.core.resources import find_config
+from quadjax.fitting import fit as fits
+from quadjax.fitting.config import load_fit_config
+from quadjax.fitting.figures import write_figures
+from quadjax.fitting.flight_log import find_logs
+from quadjax.fitting.report import PATTERNS, tables, write_results
 
 
 def fit(
@@ -33,14 +38,6 @@ def fit(
     Example: quadjax fit paparazzi 'logs.files=[logs/*.csv]' --name my_drone
     """
     started = time.monotonic()
-    with loading():
-        from quadjax.core.folders import results
-        from quadjax.fitting import fit as fits
-        from quadjax.fitting.config import load_fit_config
-        from quadjax.fitting.figures import write_figures
-        from quadjax.fitting.flight_log import find_logs
-        from quadjax.fitting.report import PATTERNS, tables, write_results
-
     path = find_config(config, "fit")
     settings = load_fit_config(path, [*overrides, *([f"name={name}"] if name else [])], allow_code)
     folder = output / settings.name

@@ -5,10 +5,17 @@ from typing import Annotated
 
 from cyclopts import Group, Parameter
 
+from quadjax import improve as loop
 from quadjax.cli import options as opt
 from quadjax.cli.output import command_again, steps
+from quadjax.config.loading import load_config
+from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import INTERRUPTED
-from quadjax.core.interruptions import loading
+from quadjax.core.folders import claim, remove_files
+from quadjax.fitting.config import load_fit_config
+from quadjax.fitting.flight_log import find_logs
+from quadjax.learners.parallel import prepare_devices
+from quadjax.plant.config import load_plant_config
 
 FLIGHTS = Group("Flights on the plant", sort_key=2)
 Rounds = Annotated[int, Parameter(converter=opt.whole(1, 100), group=FLIGHTS)]
@@ -62,16 +69,6 @@ def improve(
     """
     if logs:
         opt.refuse("with --logs", *ON_PLANT)
-    with loading():
-        from quadjax import improve as loop
-        from quadjax.config.loading import load_config
-        from quadjax.core.compilation_cache import enable_compilation_cache
-        from quadjax.core.folders import claim, remove_files
-        from quadjax.fitting.config import load_fit_config
-        from quadjax.fitting.flight_log import find_logs
-        from quadjax.learners.parallel import prepare_devices
-        from quadjax.plant.config import load_plant_config
-
     race, model = load_config(config, overrides), load_fit_config(fit, allow_code=allow_code)
     files = find_logs(model.logs.replace(files=tuple(logs)), Path()) if logs else []
     drone = None

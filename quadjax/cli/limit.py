@@ -7,7 +7,13 @@ from cyclopts import Group, Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
-from quadjax.core.interruptions import interruptions, loading
+from quadjax.config.loading import load_config
+from quadjax.core.files import write_json
+from quadjax.core.interruptions import interruptions
+from quadjax.core.plotting import save_figure
+from quadjax.limits.problem import Flight
+from quadjax.limits.result import best_known, save_unverified
+from quadjax.limits.search import NotFoundError
 
 STOPPING = b"\nstopping: the best flight so far is kept; Ctrl-C again ends without it\n"
 FLIGHT = Group("The flight", sort_key=2)
@@ -64,14 +70,6 @@ def limit(
     """
     opt.exclude("laps", "gates")
     opt.exclude("centers", "clearance")
-    with loading():
-        from quadjax.config.loading import load_config
-        from quadjax.core.files import write_json
-        from quadjax.core.plotting import save_figure
-        from quadjax.limits.problem import Flight
-        from quadjax.limits.result import best_known, save_unverified
-        from quadjax.limits.search import NotFoundError
-
     race = load_config(config, overrides)
     flight = Flight(gates, laps, stop, None if centers else clearance, speed)
     with interruptions(STOPPING) as stopped, steps() as show:

@@ -6,8 +6,16 @@ from cyclopts import Group, Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
+from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.core.interruptions import loading
+from quadjax.core.folders import results
+from quadjax.evaluation.plants import write_logs
+from quadjax.fitting import simulate
+from quadjax.plant.config import load_plant_config
+from quadjax.plant.flights import plan_logs
+from quadjax.vehicle.protocol import VehicleParams
+from quadjax.vehicle.residual import read_residual, write_residual
+from quadjax.vehicle.vehicle_file import read_vehicle
 
 RACES = Group("Races on the plant", sort_key=1)
 EXCITATION = Group("Excitation of a model", sort_key=2)
@@ -70,17 +78,6 @@ def logs(
     opt.exclude("residual", "random_residual")
     if random_residual is None:
         opt.refuse("without --random-residual", "thrust_std", "moment_std")
-    with loading():
-        from quadjax.config.loading import load_config
-        from quadjax.core.folders import results
-        from quadjax.evaluation.plants import write_logs
-        from quadjax.fitting import simulate
-        from quadjax.plant.config import load_plant_config
-        from quadjax.plant.flights import plan_logs
-        from quadjax.vehicle.protocol import VehicleParams
-        from quadjax.vehicle.residual import read_residual, write_residual
-        from quadjax.vehicle.vehicle_file import read_vehicle
-
     if plant is not None:
         drone, names = load_plant_config(plant, overrides), [str(file) for file in policy or ()]
         plans = plan_logs(load_config(race), drone, names, flights, laps)

@@ -201,25 +201,20 @@ def check_outputs(command: Callable[..., Any], arguments: Mapping[str, Any]) -> 
         InputError: as ``check_writable``, or an output that is the file of another argument.
     """
     hints = get_type_hints(command, include_extras=True)
-    for name, path in arguments.items():
-        marks = [mark for mark in getattr(hints[name], "__metadata__", ()) if type(mark) is Output]
-        if not marks or path is None:
-            continue
-        check_writable(path, marks[0].suffixes)
-        for other, value in arguments.items():
-            for text in value if isinstance(value, (list, tuple)) else [value]:
-                if other != name and isinstance(text, (str, Path)) and _same_file(path, text):
+    files = [
+        (name, text, os.path.realpath(text))
+        for name, values in arguments.items()
+        for text in (values if isinstance(values, (list, tuple)) else [values])
+        if isinstance(text, (str, Path)) and "\0" not in str(text)
+    ]
+    for name, path, real in files:
+        for mark in getattr(hints[name], "__metadata__", ()):
+            if isinstance(mark, Output):
+                check_writable(Path(path), mark.suffixes)
+                if others := [other for other, _, file in files if file == real and other != name]:
                     raise InputError(
-                        f"{_option(name)} {path}: is also {other}, allowed: another file"
+                        f"{_option(name)} {path}: is also {others[0]}, allowed: another file"
                     )
-
-
-def _same_file(path: Path, text: str | Path) -> bool:
-    """Whether an argument, or the value of an override other than a name, is the file ``path``."""
-    key, equals, value = str(text).partition("=")
-    changes = equals and is_override(str(text)) and key.split(".")[-1] != "name"
-    with writing(path):
-        return os.path.realpath(value if changes else text) == os.path.realpath(path)
 
 
 def check_writable(path: Path, suffixes: Sequence[str] = (), overwrite: bool = True) -> None:

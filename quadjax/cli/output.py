@@ -3,10 +3,9 @@
 import contextvars
 import shlex
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -49,17 +48,6 @@ def wrote(*paths: Path | str | None) -> None:
     for path in paths:
         if path is not None:
             note(f"wrote {path}")
-
-
-def write_record(
-    path: Path | None, record: Mapping[str, Any], provenance: Mapping[str, Any]
-) -> None:
-    """Write the numbers of a command as JSON with their provenance; nothing if path is None."""
-    from quadjax.core.files import write_json
-
-    if path is not None:
-        write_json(path, {**record, "provenance": provenance})
-        wrote(path)
 
 
 def command_again(without: str = "--overwrite", more: str | None = None) -> str:

@@ -7,8 +7,17 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import note, steps, wrote
+from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.core.interruptions import loading
+from quadjax.core.files import write_json, write_text
+from quadjax.core.folders import results
+from quadjax.core.provenance import provenance
+from quadjax.export.race_source import own_race
+from quadjax.fitting.flight_log import read_log
+from quadjax.policy.file import Policy
+from quadjax.policy.race import race_of_policy
+from quadjax.replay import FILES
+from quadjax.replay import replay as replay_log
 
 
 def replay(
@@ -55,18 +64,6 @@ def replay(
         raise InputError("--policy or --vehicle is required (try --help)")
     if vehicle is None:
         opt.refuse("without --vehicle", "residual")
-    with loading():
-        from quadjax.config.loading import load_config
-        from quadjax.core.files import write_json, write_text
-        from quadjax.core.folders import results
-        from quadjax.core.provenance import provenance
-        from quadjax.export.race_source import own_race
-        from quadjax.fitting.flight_log import read_log
-        from quadjax.policy.file import Policy
-        from quadjax.policy.race import race_of_policy
-        from quadjax.replay import FILES
-        from quadjax.replay import replay as replay_log
-
     network = flown = drone = None
     if policy is not None:
         network = Policy.load(policy)

@@ -5,11 +5,13 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from quadjax import catalog
 from quadjax.cli.options import Flag, Overrides, Picture, check_writable
 from quadjax.cli.output import wrote
 from quadjax.core.errors import InputError
-from quadjax.core.interruptions import loading
+from quadjax.core.plotting import save_figure
 from quadjax.core.resources import listing
+from quadjax.evaluation.figures import trajectory_figure
 
 
 def show(
@@ -48,11 +50,6 @@ def show(
     if what is None and write is None:
         print(listing())
         return
-    with loading():
-        from quadjax import catalog
-        from quadjax.core.plotting import save_figure
-        from quadjax.evaluation.figures import trajectory_figure
-
     if what is None:
         print(catalog.keys_text(write or ""))
         return

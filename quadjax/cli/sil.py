@@ -8,8 +8,15 @@ from cyclopts import Group, Parameter, Token
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
+from quadjax.cli.view import view as show
 from quadjax.core.errors import INTERRUPTED, InputError
-from quadjax.core.interruptions import interruptions, loading
+from quadjax.core.folders import results
+from quadjax.core.interruptions import interruptions
+from quadjax.plant.config import load_plant_config
+from quadjax.sil.faults import WRONG_UNITS, Faults, parse_nan
+from quadjax.sil.fly import INTERRUPTED as STOPPED
+from quadjax.sil.fly import Timing
+from quadjax.sil.run import FILES, STATES_FILE, Setting, fly_all
 
 STOPPING = b"\nstopping: the flight so far is saved; Ctrl-C again ends without saving\n"
 FAULTS = Group("Faults, of messages in either direction", sort_key=2)
@@ -98,14 +105,6 @@ def sil(
         opt.refuse("without --late", "delay")
     if simulator and overrides:
         raise InputError(f"{overrides[0]} has no effect with --simulator")
-    with loading():
-        from quadjax.core.folders import results
-        from quadjax.plant.config import load_plant_config
-        from quadjax.sil.faults import WRONG_UNITS, Faults, parse_nan
-        from quadjax.sil.fly import INTERRUPTED as STOPPED
-        from quadjax.sil.fly import Timing
-        from quadjax.sil.run import FILES, STATES_FILE, Setting, fly_all
-
     for unit in wrong_unit or ():
         if unit not in WRONG_UNITS:
             raise InputError(f"--wrong-unit {unit}, allowed: {', '.join(WRONG_UNITS)}")
@@ -128,7 +127,5 @@ def sil(
     if last.gone is not None:
         raise last.gone
     if view and len(last.flight.time):
-        from quadjax.cli.view import view as show
-
         show(str(folder / STATES_FILE), output=folder / "flight.html", open_=True)
     return INTERRUPTED if last.flight.crash == STOPPED else 0

@@ -9,8 +9,14 @@ from cyclopts import Group, Parameter
 from quadjax.cli import STARTED
 from quadjax.cli import options as opt
 from quadjax.cli.output import command_again, steps, wrote
+from quadjax.config.loading import load_config
 from quadjax.core.errors import INTERRUPTED, InputError
-from quadjax.core.interruptions import loading
+from quadjax.evaluation.seeds import train_seeds
+from quadjax.evaluation.training import write_evaluation
+from quadjax.learners.loop import NonFiniteError
+from quadjax.learners.parallel import prepare_devices
+from quadjax.training import run
+from quadjax.training.fine_tuning import check_policy, fine_tuning
 
 SEEDS = Group("Several seeds", sort_key=2)
 
@@ -55,9 +61,6 @@ def train(
     named = [*overrides, *([f"name={name}"] if name else [])]
     if seeds is not None:
         opt.refuse("with --seeds", "resume", "fine_tune")
-        with loading():
-            from quadjax.evaluation.seeds import train_seeds
-
         words = [word for word in (config, *named) if opt.is_override(word)]
         files = [word for word in (config, *named) if word not in words]
         if len(set(seeds)) < len(seeds):
@@ -68,21 +71,11 @@ def train(
             wrote(file)
         return 0
     opt.refuse("without --seeds", "runs", "figure")
-    with loading():
-        from quadjax.config.loading import load_config
-        from quadjax.learners.parallel import prepare_devices
-        from quadjax.training.fine_tuning import check_policy, fine_tuning
-
     settings = load_config(config, named)
     if fine_tune is not None:
         check_policy(settings, fine_tune)
         settings = fine_tuning(settings, fine_tune)
     prepare_devices(settings.run.devices)
-    with loading():
-        from quadjax.evaluation.training import write_evaluation
-        from quadjax.learners.loop import NonFiniteError
-        from quadjax.training import run
-
     folder = output / settings.name
     try:
         done = run.train(settings, folder, resume=resume, overwrite=overwrite, started=STARTED)

@@ -8,9 +8,13 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from quadjax.cli import options as opt
-from quadjax.cli.output import write_record
+from quadjax.cli.output import wrote
 from quadjax.core.errors import as_options
-from quadjax.core.interruptions import loading
+from quadjax.core.files import write_json
+from quadjax.core.provenance import provenance
+from quadjax.export.verify.checks import CHECKS
+from quadjax.export.verify.result import FAILED, Result, counts_text, row_text
+from quadjax.export.verify.run import verify as verify_folder
 
 
 def verify(
@@ -43,11 +47,6 @@ def verify(
     """
     if folder.suffix == ".qjp":
         opt.refuse("on a .qjp file", "runs", "allow_unfinished", "allow_other_race", "race")
-    with loading():
-        from quadjax.core.provenance import provenance
-        from quadjax.export.verify.checks import CHECKS
-        from quadjax.export.verify.result import FAILED, Result, counts_text, row_text
-        from quadjax.export.verify.run import verify as verify_folder
 
     def announce(name: str) -> None:
         if sys.stderr.isatty():
@@ -72,5 +71,6 @@ def verify(
     print(f"\n{counts_text(results)}")
     rows = [dataclasses.asdict(result) for result in results]
     if json is not None:
-        write_record(json, {"results": rows}, provenance(policy=policy))
+        write_json(json, {"results": rows, "provenance": provenance(policy=policy)})
+    wrote(json)
     return int(any(result.verdict == FAILED for result in results))

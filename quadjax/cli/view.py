@@ -9,8 +9,13 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import note, steps, wrote
+from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.core.interruptions import loading
+from quadjax.core.files import write_json
+from quadjax.flights import save
+from quadjax.sources import Options, load_flights
+from quadjax.view.data import page_record
+from quadjax.view.page import write_page
 
 SUFFIXES = (".html", ".npz", ".json")
 
@@ -60,14 +65,6 @@ def view(
         raise InputError(f"--name {names[-1]}: more names than flights")
     if open_ and output.suffix != ".html":
         raise InputError(f"--open needs an .html file, --output is {output}")
-    with loading():
-        from quadjax.config.loading import load_config
-        from quadjax.core.files import write_json
-        from quadjax.flights import save
-        from quadjax.sources import Options, load_flights
-        from quadjax.view.data import page_record
-        from quadjax.view.page import write_page
-
     config = load_config(race) if race else None
     columns = logs.columns() if logs.logs else None
     reading = Options(config, laps, runs, sampled, seed, columns, report=note)

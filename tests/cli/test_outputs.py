@@ -42,9 +42,9 @@ def test_messages_about_the_compilation_cache_are_not_shown(capsys):
     assert not shown
 
 
-@pytest.mark.parametrize("other", ["policy", "config", "figure", "override", "link"])
+@pytest.mark.parametrize("other", ["policy", "config", "figure", "link"])
 def test_an_output_does_not_replace_another_file_of_the_command(tmp_path, capsys, other):
-    policy, config, states = tmp_path / "p.npz", tmp_path / "c.yaml", tmp_path / "s.npz"
+    policy, config = tmp_path / "p.npz", tmp_path / "c.yaml"
     policy.write_text("mine")
     config.write_text("base: e2e")
     (tmp_path / "l.npz").symlink_to(policy)
@@ -52,7 +52,6 @@ def test_an_output_does_not_replace_another_file_of_the_command(tmp_path, capsys
         "policy": ("--states", policy),
         "config": ("--json", config),
         "figure": ("--figure", tmp_path / "a.png", "--signals", tmp_path / "." / "a.png"),
-        "override": (f"vehicle.residual={states}", "--states", states),
         "link": ("--states", tmp_path / "l.npz"),
     }[other]
     error = refusal(capsys, "evaluate", config, "--policy", policy, *extra)
