@@ -7,6 +7,14 @@ from pathlib import Path
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
+from quadjax.config.loading import LEARNERS
+from quadjax.config.reference import KeyInfo, describe
+from quadjax.config.schema import Config, Schedule
+from quadjax.core.markdown import table
+from quadjax.core.sections import Section
+from quadjax.core.yaml_files import to_yaml
+from quadjax.race.track import GateSection
+
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages of the reference."""
@@ -36,39 +44,68 @@ def flights_page(path: Path) -> str:
 
 def config_page() -> str:
     """Every key of a training config, by section."""
-    from quadjax.config.reference import markdown, training_sections
-
-    return markdown("Config keys", training_sections())
+    return _page("Config keys", _training_sections())
 
 
 def fit_page() -> str:
     """Every key of a fit's config, by section."""
-    from quadjax.config.reference import markdown, sections_of
     from quadjax.fitting.config import FitConfig
 
-    return markdown("Fit config keys", sections_of(FitConfig, "The fit"))
+    return _page("Fit config keys", _sections_of(FitConfig, "The fit"))
 
 
 def plant_page() -> str:
     """Every key of a stand-in plant's config, by section."""
-    from quadjax.config.reference import markdown, sections_of
     from quadjax.plant.config import PlantConfig
 
-    return markdown("Plant config keys", sections_of(PlantConfig, "The plant"))
+    return _page("Plant config keys", _sections_of(PlantConfig, "The plant"))
 
 
 def sweep_page() -> str:
     """Every key of a sweep file, by section."""
-    from quadjax.config.reference import describe, markdown, sections_of
     from quadjax.sweeps.schema import Range, SweepFile
 
     values = ("Values of `space`", describe(Range))
-    return markdown("Sweep file keys", [*sections_of(SweepFile, "The sweep"), values])
+    return _page("Sweep file keys", [*_sections_of(SweepFile, "The sweep"), values])
+
+
+def _training_sections() -> list[tuple[str, list[KeyInfo]]]:
+    """Every key of a training config, by the title of its table."""
+    tables = [table for table in _sections_of(Config, "The run") if table[0] != "`learner`"]
+    for learner in LEARNERS.values():
+        title = f"`learner` with `learner.algorithm: {learner.model_fields['algorithm'].default}`"
+        tables.append((title, describe(learner, "learner.")))
+    tables.append(("Items of `track.gates`", describe(GateSection)))
+    tables.append(("Values of `schedules`", describe(Schedule)))
+    return tables
+
+
+def _sections_of(schema: type[Section], title: str) -> list[tuple[str, list[KeyInfo]]]:
+    """Every key of another schema: its own keys, and a table for each section in it."""
+    keys = describe(schema)
+    groups = dict.fromkeys(info.key.rpartition(".")[0] for info in keys)
+    return [
+        (f"`{group}`" if group else title, [k for k in keys if k.key.rpartition(".")[0] == group])
+        for group in groups
+    ]
+
+
+def _page(title: str, sections: list[tuple[str, list[KeyInfo]]]) -> str:
+    """A page of reference as Markdown: one table for each section."""
+    parts = [f"## {name}\n\n{_table(keys)}" for name, keys in sections]
+    return f"# {title}\n\n" + "\n".join(parts)
+
+
+def _table(keys: list[KeyInfo]) -> str:
+    rows = [("key", "default", "values", "description")]
+    for info in keys:
+        default = to_yaml({"key": info.default}).strip().removeprefix("key: ")
+        rows.append((f"`{info.key}`", f"`{default}`", info.allowed, info.description))
+    return table(rows) + "\n"
 
 
 def messages_page() -> str:
     """The messages of software in the loop, from their tables, and the C header."""
-    from quadjax.core.markdown import table
     from quadjax.sil import message
     from quadjax.sil.source import header_text
 

@@ -33,12 +33,7 @@ SCHEDULE_KEYS = [field.alias or name for name, field in Schedule.model_fields.it
 
 
 def config_layers(path: Path, parts: Sequence[str], overrides: Sequence[str]) -> list[Layer]:
-    """The layers of a config, the lowest first.
-
-    Args:
-        path: of its file.
-        parts: names or paths; see ``find_part``.
-        overrides: ``key=value``.
+    """The layers of a config, its parts (names or paths) and its overrides, the lowest first.
 
     Raises:
         InputError: a file that cannot be read, or an override that is not ``key=value``.
@@ -49,32 +44,26 @@ def config_layers(path: Path, parts: Sequence[str], overrides: Sequence[str]) ->
     presets = [Path(file).stem for file, _ in reversed(files)]
     names = [str(tree["name"]) for _, tree in files if "name" in tree] or ["run"]
     for part in parts:
-        files += read_layers(find_part(part, path, presets))
+        files += read_layers(_find_part(part, path, presets))
     if parts:  # the name of the run: e2e_residual
         stems = [part.rpartition("/")[2].removesuffix(".yaml") for part in parts]
         files.append((path, {"name": "_".join([names[-1], *stems])}))
-    layers = [x for file, tree in files for x in with_files(file, tree, [Path(file).parent])]
+    layers = [x for file, tree in files for x in _with_files(file, tree, [Path(file).parent])]
     over = parse_overrides([_expand(override) for override in overrides])
-    over_layers = with_files(OVERRIDES, over, [Path(), path.parent])
+    over_layers = _with_files(OVERRIDES, over, [Path(), path.parent])
     defaults: list[Layer] = []
     for section, name in DEFAULTS.items():  # but of a section whose values a file has itself
         keys = {key for _, tree in files for key in _section(tree, section)}
         if not keys & {"models", "gates", "generate"}:
-            defaults += with_files("defaults", {section: {"file": name}}, [CONFIGS])
+            defaults += _with_files("defaults", {section: {"file": name}}, [CONFIGS])
     return [*defaults, *layers, *over_layers]
 
 
-def find_part(name: str, config: Path, presets: Sequence[str]) -> Path:
+def _find_part(name: str, config: Path, presets: Sequence[str]) -> Path:
     """The file of a part: a path, or ``PRESET_NAME.yaml`` or ``NAME.yaml`` in a folder ``parts``.
 
-    Args:
-        name: of the part.
-        config: the file that it is merged over; its folder is searched before the current one and
-            that of quadjax.
-        presets: names of that file and of its bases, the last one first.
-
-    Raises:
-        InputError: no such part; with the names of those of quadjax.
+    The folder of the config is searched before the current one and that of quadjax; ``presets`` are
+    the names of the config and of its bases, the last one first.
     """
     if name.endswith(".yaml") or "/" in name:
         return find_file(name, [Path()], "parts")
@@ -90,16 +79,11 @@ def find_part(name: str, config: Path, presets: Sequence[str]) -> Path:
     raise InputError(f"+{name}: no such part{hint}; parts of quadjax: {listed}")
 
 
-def with_files(source: Path | str, tree: Tree, folders: Sequence[Path]) -> list[Layer]:
+def _with_files(source: Path | str, tree: Tree, folders: Sequence[Path]) -> list[Layer]:
     """The layer of a file, above those of the vehicle and track files that it names.
 
     In the layer, the names of ``.npz`` files next to a file are paths, and nested schedules have
-    dotted keys.
-
-    Args:
-        source: the file.
-        tree: its values.
-        folders: where the files are that it names.
+    dotted keys. ``folders`` are those of the files that it names.
     """
     for section, key in DATA_FILES:
         name = _section(tree, section).get(key)
@@ -150,11 +134,6 @@ def without_replaced(tree: Tree, over: Tree, source: str) -> Tree:
     Constants of the earlier model move to ``vehicle.models``. Gates replace a random track, and a
     random track replaces gates, with their name, start and ``closed``. Another algorithm replaces
     the hyperparameters and their schedules.
-
-    Args:
-        tree: the merge of all lower layers.
-        over: values of the layer.
-        source: of the layer.
 
     Raises:
         InputError: a vehicle file that would turn a race of body rates into one of rotor commands.

@@ -7,7 +7,6 @@ from typing import Any
 
 from quadjax.config.checks import check
 from quadjax.config.layers import (
-    OVERRIDES,
     config_layers,
     file_values,
     without_replaced,
@@ -30,13 +29,6 @@ from quadjax.vehicle.vehicle_file import for_each_rotor
 
 LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
 WORDS = re.compile(r" +(?=\+|[\w.]+=)")  # between a preset, its parts and overrides
-# Former keys, by the value that had no effect; None: any value.
-RETIRED: dict[str, tuple[float, ...] | None] = {
-    "learner.revisit": (0.0,),
-    "randomization.tracks.drawn_by": None,
-    "randomization.tracks.split_s": (0.0,),
-    "run.shards": None,
-}
 CODE = (  # keys whose values may be module:OBJECT
     ("vehicle", "model"),
     ("learner", "algorithm"),
@@ -71,16 +63,13 @@ def load_config(
     path = find_config(name)
     parts = [word[1:] for word in words if word.startswith("+")]
     changes = [word for word in words if not word.startswith("+")]
-    for key in (word.partition("=")[0] for word in changes):
-        if RETIRED.get(key, ()) is None:  # stored configs may have it, a user's words may not
-            raise InputError(f"{OVERRIDES}: unknown key {key}")
     tree, sources = merge_layers(config_layers(path, parts, changes), path, without_replaced)
     for key, file in list(sources.files.items()):
         if key.startswith("vehicle.models."):  # where constants are until the model is known
             sources.files.setdefault(f"vehicle.constants.{key.rpartition('.')[2]}", file)
     tree = _with_opening(generated(tree, sources), sources)
     if code is not None:
-        refuse_code(tree, str(path), code)
+        _refuse_code(tree, str(path), code)
     return config_of(tree, sources)
 
 
@@ -133,25 +122,23 @@ def _with_opening(tree: Tree, sources: Sources) -> Tree:
 
     Frames around gates of one size keep their outer edges.
     """
-    section = tree.get("track")
+    section, rules = tree.get("track"), tree.get("rules") or {}
     if not isinstance(section, dict) or section.get("opening") is None:
         return tree
     track = build(TrackSection, section, sources, "track.")
-    rules = build(Rules, tree.get("rules") or {}, sources, "rules.")
-    opening, frame = track.opening or 0.0, rules.gate_frame
+    opening, frame = track.opening or 0.0, build(Rules, rules, sources, "rules.").gate_frame
     gates = [{**gate, "size": [opening, opening]} for gate in section["gates"]]
-    tree = {**tree, "track": {**section, "gates": gates, "opening": None}}
-    if frame == 0.0:
-        return tree
-    sizes = {side for gate in track.gates for side in gate.size}
-    wider = frame + 0.5 * (min(sizes) - opening)
-    if len(sizes) > 1 or wider < 0.0:
-        allowed = f"at most {min(sizes) + 2.0 * frame:g}, the outer edge of the frames"
+    if frame > 0.0:
+        sizes = sorted({side for gate in track.gates for side in gate.size})
+        outer = sizes[0] + 2.0 * frame
+        allowed = f"at most {outer:g}, the outer edge of the frames"
         if len(sizes) > 1:
-            allowed = f"null with rules.gate_frame {frame:g} around gates of sizes {sorted(sizes)}"
-        with one_line_errors(sources):
-            refuse("track.opening", opening, allowed)
-    return {**tree, "rules": {**(tree.get("rules") or {}), "gate_frame": wider}}
+            allowed = f"null with rules.gate_frame {frame:g} around gates of sizes {sizes}"
+        if len(sizes) > 1 or opening > outer:
+            with one_line_errors(sources):
+                refuse("track.opening", opening, allowed)
+        rules = {**rules, "gate_frame": frame + 0.5 * (sizes[0] - opening)}
+    return {**tree, "track": {**section, "gates": gates, "opening": None}, "rules": rules}
 
 
 def config_of(tree: Tree, source: str | Sources) -> Config:
@@ -166,7 +153,6 @@ def config_of(tree: Tree, source: str | Sources) -> Config:
         InputError: a key or a value that is not allowed.
     """
     with one_line_errors(source):
-        tree = _without_retired(tree)
         schema = _learner_schema(tree.get("learner", {}))
         vehicle = build(Vehicle, tree.get("vehicle", {}), source, prefix="vehicle.")
         tree = {**tree, "vehicle": _with_constants(vehicle)}
@@ -192,31 +178,22 @@ def stored_config(tree: Tree, file: str) -> Config:
         InputError: a key or a value that is not allowed, or that names code.
     """
     source = f"{file}: config"
-    refuse_code(tree, source)
+    _refuse_code(tree, source)
     return config_of(tree, source)
 
 
-def refuse_code(tree: Mapping[str, Any], source: str, allowed: Collection[str] = ()) -> None:
-    """Reject the tree of a config that names code.
+def _refuse_code(tree: Mapping[str, Any], source: str, allowed: Collection[str] = ()) -> None:
+    """Reject the tree of a config that names code that the user has not named elsewhere.
 
     Code is imported from the command line and from a config that the user names, never from a
     file that the program finds: in a policy file, in the folder of a run or of an export.
-
-    Args:
-        tree: of the config.
-        source: the file, for messages.
-        allowed: names ``module:object`` that the user has given elsewhere.
-
-    Raises:
-        InputError: with the first key that names code.
     """
     for key, name in _named_code(tree):
-        if name in allowed:
-            continue
-        raise InputError(
-            f"{source}: {key} is {name!r:.80}; code that this file names is not imported, name "
-            "the config of its race (config=CONFIG)"
-        )
+        if name not in allowed:
+            raise InputError(
+                f"{source}: {key} is {name!r:.80}; code that this file names is not imported, name "
+                "the config of its race (config=CONFIG)"
+            )
 
 
 def _named_code(tree: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -233,17 +210,6 @@ def _named_code(tree: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 def names_of_code(config: Config) -> list[str]:
     """The objects ``module:OBJECT`` of the user's own modules that a config names."""
     return [name for _, name in _named_code(config.model_dump(by_alias=True))]
-
-
-def _without_retired(tree: Tree, prefix: str = "") -> Tree:
-    """The tree without keys of earlier versions, where their value had no effect."""
-    rest: Tree = {}
-    for key, value in tree.items():
-        allowed = RETIRED.get(f"{prefix}{key}", ())
-        if allowed is None or value in allowed:
-            continue
-        rest[key] = _without_retired(value, f"{prefix}{key}.") if isinstance(value, dict) else value
-    return rest
 
 
 def _with_constants(vehicle: Vehicle) -> Vehicle:

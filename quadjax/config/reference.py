@@ -1,17 +1,12 @@
-"""The reference of every config key, from the declarations: a page of the docs, and comments."""
+"""The reference of every config key, from the declarations, and configs with comments."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from quadjax.config.schema import Config, Schedule
-from quadjax.core.markdown import table
+from quadjax.config.schema import Config
 from quadjax.core.sections import Section, is_section
 from quadjax.core.yaml_files import to_yaml
-from quadjax.learners.ppo import PPO
-from quadjax.learners.shac import SHAC
-from quadjax.race.track import GateSection
 
-LEARNERS: tuple[type[Section], ...] = (PPO, SHAC)
 BOUNDS = {  # of a JSON schema
     "minimum": "at least {}",
     "exclusiveMinimum": "above {}",
@@ -84,38 +79,3 @@ def commented_yaml(config: Config) -> str:
         key = ".".join(step for step in location if isinstance(step, str))
         comments[key] = f"{comments.get(key, '')} {text}: {number:g}".lstrip()
     return to_yaml(config.to_tree(), comments)
-
-
-def training_sections() -> list[tuple[str, list[KeyInfo]]]:
-    """Every key of a training config, by the title of its table."""
-    tables = [table for table in sections_of(Config, "The run") if table[0] != "`learner`"]
-    for learner in LEARNERS:
-        title = f"`learner` with `learner.algorithm: {learner.model_fields['algorithm'].default}`"
-        tables.append((title, describe(learner, "learner.")))
-    tables.append(("Items of `track.gates`", describe(GateSection)))
-    tables.append(("Values of `schedules`", describe(Schedule)))
-    return tables
-
-
-def sections_of(schema: type[Section], title: str) -> list[tuple[str, list[KeyInfo]]]:
-    """Every key of another schema: its own keys, and a table for each section in it."""
-    keys = describe(schema)
-    groups = dict.fromkeys(info.key.rpartition(".")[0] for info in keys)
-    return [
-        (f"`{group}`" if group else title, [k for k in keys if k.key.rpartition(".")[0] == group])
-        for group in groups
-    ]
-
-
-def markdown(title: str, sections: list[tuple[str, list[KeyInfo]]]) -> str:
-    """A page of reference as Markdown: one table for each section."""
-    parts = [f"## {name}\n\n{_table(keys)}" for name, keys in sections]
-    return f"# {title}\n\n" + "\n".join(parts)
-
-
-def _table(keys: list[KeyInfo]) -> str:
-    rows = [("key", "default", "values", "description")]
-    for info in keys:
-        default = to_yaml({"key": info.default}).strip().removeprefix("key: ")
-        rows.append((f"`{info.key}`", f"`{default}`", info.allowed, info.description))
-    return table(rows) + "\n"

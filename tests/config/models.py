@@ -1,17 +1,6 @@
 """Vehicle models for the tests of configs."""
 
-import jax
-
-from quadjax.vehicle.constants import constant
-from quadjax.vehicle.rate import Rate, RateConstants
-
-
-class Winged(RateConstants):
-    d_x: jax.Array = constant("1/s", "wings")
-
-
-class OwnGroup(Rate):
-    constants = Winged
+from quadjax.vehicle.rate import Rate
 
 
 class NoThrust(Rate):
@@ -23,4 +12,4 @@ class NoRatio(Rate):
         return None
 
 
-OWN_GROUP, NO_THRUST, NO_RATIO = OwnGroup(), NoThrust(), NoRatio()
+NO_THRUST, NO_RATIO = NoThrust(), NoRatio()
