@@ -2,12 +2,9 @@
 
 import numpy as np
 
-from quadjax import VehicleParams
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.formats import LogFormat
-from quadjax.fitting.simulate import simulate_flight
-from quadjax.vehicle.vehicle_file import read_vehicle
 
 
 def read(path):
@@ -20,21 +17,21 @@ FORMAT = LogFormat(
     columns={
         "time": ["time"],
         "rpm": ["front_left", "front_right", "rear_right", "rear_left"],
-        "gyro": ["rate_p", "rate_q", "rate_r"],
-        "acceleration": ["ekf_U1", "ekf_U2", "ekf_U3"],
-        "world_velocity": ["vel_x", "vel_y", "vel_z"],
+        "gyro": ["p", "q", "r"],
+        "acceleration": ["ax", "ay", "az"],
+        "world_velocity": ["vx", "vy", "vz"],
         "euler": ["roll", "pitch", "yaw"],
     },
     units={"rpm": "rad/s", "angle": "deg"},
     read=read,
 )
 
-if __name__ == "__main__":
-    flown = simulate_flight(VehicleParams(read_vehicle("bebop1.yaml").motor), 1, seconds=5.0)
-    for i, name in enumerate(FORMAT.columns["rpm"]):
-        flown[name] = flown.pop(f"rpm_obs_{i + 1}") * np.pi / 30.0
-    for name, angle in zip(("roll", "pitch", "yaw"), ("phi", "theta", "psi"), strict=True):
-        flown[name] = np.degrees(flown.pop(f"att_{angle}"))
-    np.savez("flight.npz", **flown)
+if __name__ == "__main__":  # a level drone that swings north and south, with noise
+    time, random = np.arange(0.0, 5.0, 0.004), np.random.default_rng(0)
+    names = [name for group in FORMAT.columns.values() for name in group]
+    flight = {name: 0.001 * random.normal(size=len(time)) for name in names}
+    flight |= {name: 785.0 + flight[name] for name in FORMAT.columns["rpm"]}
+    swing = {"time": time, "vx": np.sin(3.0 * time), "ax": 3.0 * np.cos(3.0 * time)}
+    np.savez("flight.npz", **flight | swing | {"az": flight["az"] - 9.81})
     log = read_log("flight.npz", LogsConfig(format="own_log_format:FORMAT"))
     print(f"{log.sample_rate:.0f} Hz, {log.rpm.mean():.0f} rpm; not checked: {log.unchecked}")

@@ -97,8 +97,7 @@ def test_an_output_does_not_replace_a_pipe(tmp_path, capsys):
     [
         (("export", PRETRAINED / "e2e.npz", "--output"), "policy.npz"),
         (("export", PRETRAINED / "e2e.npz", "--name", "mine", "--output"), "mine.c"),
-        (("logs", "--output"), "flight_0.csv"),
-        (("logs", "--random-residual", "1", "--output"), "residual.npz"),
+        (("logs", "exact", "--policy", "e2e", "--output"), "e2e_0.csv"),
         (("sweep", "learning_rate", "name=one", "--report", "--output"), "report.md"),
         (("sweep", "learning_rate", "name=one", "--output"), "trials"),
     ],

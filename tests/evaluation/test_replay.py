@@ -10,7 +10,6 @@ import quadjax
 from quadjax.core.resources import CONFIGS
 from quadjax.fitting.flight_log import write_log
 from quadjax.fitting.formats import PLAIN
-from quadjax.fitting.simulate import random_residual
 from quadjax.flights import Flight, Signal
 from quadjax.flights.flight import motion_signals
 from quadjax.log_states import disturbances_of
@@ -21,6 +20,7 @@ from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import write_residual
 from tests.commands import run
 from tests.fitting import racing_logs
+from tests.fitting.flights import random_residual
 
 from .test_report import PRETRAINED
 

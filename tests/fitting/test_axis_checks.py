@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.fitting import simulate
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import log_of_columns
 from quadjax.fitting.formats import FORMATS, PAPARAZZI, PLAIN
-from quadjax.fitting.simulate import SensorNoise
 
 from .conftest import FLIGHTS
 from .flights import first_seconds, simulated
@@ -108,7 +106,7 @@ def accepted(columns, form, title, faults=faults):
 
 @pytest.fixture(scope="module")
 def flown():
-    return first_seconds(simulated(1, (5, 0.7, (0.008, 0.008, 0.003)), SensorNoise()), 4.0)
+    return first_seconds(simulated(1, (5, 0.7, (0.008, 0.008, 0.003)), 1.0), 4.0)
 
 
 @pytest.mark.slow
@@ -201,17 +199,15 @@ def test_the_line_names_the_columns_and_the_change(flown, message, wrong):
         log_of_columns(flown | wrong(flown), LogsConfig(format="paparazzi"), "flight")
 
 
-def test_what_has_no_evidence_is_reported(monkeypatch):
-    monkeypatch.setattr(simulate, "_wandering", lambda random, count, rate: np.zeros((count, 4)))
-    hover = first_seconds(simulated.__wrapped__(1, noise=SensorNoise()), 4.0)
+def test_what_has_no_evidence_is_reported():
+    hover = first_seconds(simulated(1, noise=1.0, still=True), 4.0)
     lines = log_of_columns(hover, LogsConfig(format="paparazzi"), "flight").unchecked
     assert "'rate_r'" in lines
     assert any("'rpm_obs_1'" in line for line in lines)
 
 
 def test_noise_is_not_a_contradiction():
-    noise = SensorNoise(rpm=100.0, gyro=0.05, acceleration=1.0, velocity=0.1, angle=0.01)
-    noisy = first_seconds(simulated(3, noise=noise), 4.0)
+    noisy = first_seconds(simulated(3, noise=5.0), 4.0)
     log_of_columns(noisy, LogsConfig(format="paparazzi"), "flight")
 
 

@@ -10,12 +10,13 @@ from quadjax.core.errors import InputError
 from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.integrators import euler_step, rk4_step
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.fitting.simulate import random_residual
 from quadjax.vehicle import estimator, motor
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import Measurement, VehicleParams
 from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 from tests.estimator_reference import estimate
+
+from .flights import random_residual
 
 BEBOP = MotorConstants(
     g=9.81,

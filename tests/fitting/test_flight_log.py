@@ -5,7 +5,6 @@ from quadjax.core.errors import InputError
 from quadjax.fitting import log_table
 from quadjax.fitting.config import LogsConfig, UnitsConfig
 from quadjax.fitting.flight_log import log_of_columns, read_log, read_logs, write_log
-from quadjax.fitting.simulate import SensorNoise
 
 from .flights import first_seconds, simulated
 
@@ -14,7 +13,7 @@ PAPARAZZI = LogsConfig(format="paparazzi")
 
 @pytest.fixture(scope="module")
 def columns():
-    return first_seconds(simulated(1, noise=SensorNoise()), 4.0)
+    return first_seconds(simulated(1, noise=1.0), 4.0)
 
 
 def _write(tmp_path, columns, **changed):

@@ -11,25 +11,22 @@ from quadjax.fitting.fit import fit
 from quadjax.fitting.flight_log import write_log
 from quadjax.fitting.report import tables
 from quadjax.fitting.samples import ALL
-from quadjax.fitting.simulate import random_residual, simulate_flight
-from quadjax.vehicle.protocol import VehicleParams
-from quadjax.vehicle.residual import scale_residual
 
 from .conftest import REPOSITORY
-from .flights import NOISE, RATE, SECONDS
+from .flights import simulated
 
 MOMENTS = ("Mx", "My", "Mz")
 CONFIG = REPOSITORY / "configs/fit/paparazzi.yaml"
 
 
 @pytest.fixture(scope="module")
-def unlike(bebop, tmp_path_factory):
+def unlike(tmp_path_factory):
     """Four flights; of the last one the residual has the opposite sign."""
     folder = tmp_path_factory.mktemp("unlike")
-    residual = random_residual(5, 1.0, (0.008, 0.008, 0.003))
     for seed in range(4):
-        drone = VehicleParams(bebop, scale_residual(residual, -1.0 if seed == 3 else 1.0))
-        write_log(folder / f"flight_{seed}.csv", simulate_flight(drone, seed, SECONDS, RATE, NOISE))
+        sign = -1.0 if seed == 3 else 1.0
+        residual = (5, sign, (0.008 * sign, 0.008 * sign, 0.003 * sign))
+        write_log(folder / f"flight_{seed}.csv", simulated(seed, residual))
     return folder
 
 

@@ -12,8 +12,9 @@ from quadjax.fitting.residual import fit_residuals, select, zero_residual
 from quadjax.fitting.residual_training import MIRROR_OUTPUT, NETWORKS, mirrored
 from quadjax.fitting.samples import ALL, NOWHERE, TEST, Samples, make_split
 from quadjax.fitting.signals import concatenated
-from quadjax.fitting.simulate import random_residual
 from quadjax.vehicle.residual import read_residual, residual_force_moment, write_residual
+
+from .flights import random_residual
 
 FAST = ResidualConfig(seeds=2, epochs=12)
 

@@ -5,7 +5,6 @@ import numpy as np
 from quadjax.config.loading import load_config
 from quadjax.fitting.config import load_fit_config
 from quadjax.fitting.flight_log import write_log
-from quadjax.fitting.simulate import SensorNoise
 from quadjax.training.build import untrained_policy
 from tests.fitting.flights import simulated
 from tests.race.support import BLANK
@@ -35,7 +34,7 @@ def policy_file(folder, config=None):
 
 def drone_log(path, seed: int):
     """A log of a drone with 10% less thrust and roll moment, and 10% more drag, than the Bebop."""
-    write_log(path, simulated(seed, noise=SensorNoise(), k_w=0.9, k_p=0.9, k_x=1.1))
+    write_log(path, simulated(seed, noise=1.0, k_w=0.9, k_p=0.9, k_x=1.1))
     return path
 
 
