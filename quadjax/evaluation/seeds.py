@@ -1,6 +1,5 @@
 """Train configs with several seeds and tabulate the results."""
 
-import dataclasses
 import subprocess
 import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -23,26 +22,17 @@ from quadjax.policy.file import Policy
 from quadjax.training.folder import check_same
 from quadjax.training.result import is_finished, read_metrics, read_summary
 
-
-@dataclasses.dataclass(frozen=True)
-class SeedResult:
-    """The result of one seed; times in seconds."""
-
-    seed: int
-    seconds: float  # of training, imports and compilation included
-    steps: int
-    reference: float | None  # s for all laps, of the published policy of this race
-    first_seconds: float | None  # of training until the first score under the reference
-    first_steps: int | None
-    last: float | None  # score of the last policy, see run.score
-    best: float | None  # the same, the best policy
-    flying_lap: float | None  # fastest lap of the mean flights of the best policy
-    flights: Evaluation  # of the best policy, under configs/conditions/protocols.yaml
-    memory_mib: float | None  # None where the system does not report it
-
-    def to_json(self) -> dict[str, Any]:
-        """The result as JSON takes it."""
-        return vars(self) | {"flights": [row.to_json() for row in self.flights.rows]}
+COLUMNS = {  # key of a result: title, scale and format of the cell
+    "seed": ("seed", 1.0, ".0f"),
+    "seconds": ("train s", 1.0, ".0f"),
+    "steps": ("M steps", 1e-6, ".1f"),
+    "first_seconds": ("<{reference:.2f} at s", 1.0, ".0f"),
+    "first_steps": ("at M steps", 1e-6, ".1f"),
+    "last": ("last", 1.0, ".2f"),
+    "best": ("best", 1.0, ".2f"),
+    "flying_lap": ("best lap", 1.0, ".2f"),
+    "memory_mib": ("MiB", 1.0, ".0f"),
+}
 
 
 def configs_of(files: Sequence[str], overrides: Sequence[str]) -> dict[str, Config]:
@@ -52,12 +42,13 @@ def configs_of(files: Sequence[str], overrides: Sequence[str]) -> dict[str, Conf
         InputError: a config that cannot be used, two of one name, or lap times that cannot
             be compared.
     """
-    configs = [load_config(file, overrides) for file in files]
-    by_name = {config.name: config for config in configs}
-    if len(by_name) < len(configs):
-        names = [config.name for config in configs]
-        double = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"two of the configs are named {double}, expected names that differ")
+    by_name: dict[str, Config] = {}
+    for config in (load_config(file, overrides) for file in files):
+        if config.name in by_name:
+            raise InputError(
+                f"two of the configs are named {config.name}, expected names that differ"
+            )
+        by_name[config.name] = config
     check_lengths({name: config.evaluate.length for name, config in by_name.items()})
     return by_name
 
@@ -102,9 +93,12 @@ def train_seeds(
     yield "", figure
     for name, folders in groups.items():
         results = [evaluate_seed(folder, runs, code) for folder in folders]
-        record = {"results": [result.to_json() for result in results]}
+        listed = [
+            numbers | {"flights": [row.to_json() for row in flights.rows]}
+            for numbers, flights in results
+        ]
         path = output / f"{name}_seeds.json"
-        write_json(path, record | {"provenance": provenance(configs[name])})
+        write_json(path, {"results": listed, "provenance": provenance(configs[name])})
         yield f"\n{name}\n\n{format_seeds(results)}\n", path
 
 
@@ -136,66 +130,49 @@ def train_once(
     return folder
 
 
-def evaluate_seed(run: Path, runs: int, code: Collection[str] = ()) -> SeedResult:
-    """Evaluate the best policy of a finished training: from hover, and from random starts.
+def evaluate_seed(
+    run: Path, runs: int, code: Collection[str] = ()
+) -> tuple[dict[str, Any], Evaluation]:
+    """Evaluate the best policy of a finished training under ``configs/conditions/protocols.yaml``.
 
     Args:
         run: the folder of the training.
         runs: number of flights of each kind.
         code: names ``module:OBJECT`` that may be imported from the run's config.
+
+    Returns:
+        Numbers of the training, None where there is none: ``seed``; ``seconds``, with imports and
+        compilation; ``steps``; ``reference``, the published time of all laps of this race, s;
+        ``first_seconds`` and ``first_steps`` of the first score under it; ``last`` and ``best``
+        score, see ``run.score``; ``flying_lap``, the fastest lap of the mean flights, s;
+        ``memory_mib``. And the flights.
     """
     config = load_config(run / "config.yaml", code=code)
     summary = read_summary(run)
-    policy = Policy.load(run / "policy.npz")
-    flights = evaluate(policy, config, conditions="protocols", runs=runs, name=run.name)
-    published = published_total(config)
-    reference = None if published is None else published[1]
-    first = reference and first_under(read_metrics(run / "metrics.csv"), reference)
-    first_seconds, first_steps = first or (None, None)
-    return SeedResult(
-        seed=summary["seed"],
-        seconds=summary["seconds"],
-        steps=summary["steps"],
-        reference=reference,
-        first_seconds=first_seconds,
-        first_steps=first_steps,
-        last=summary["last_lap_total"],
-        best=summary["best_lap_total"],
-        flying_lap=_lowest(flights["mean"].laps.lap_times),
-        flights=flights,
-        memory_mib=summary["peak_memory_mib"],
+    flights = evaluate(
+        Policy.load(run / "policy.npz"), config, conditions="protocols", runs=runs, name=run.name
     )
+    published = published_total(config)
+    first = published and first_under(read_metrics(run / "metrics.csv"), published[1])
+    seconds, steps = first or (None, None)
+    times = flights["mean"].laps.lap_times
+    fastest = round(float(np.nanmin(times)), 3) if np.isfinite(times).any() else None
+    numbers = {key: summary[key] for key in ("seed", "seconds", "steps")}
+    numbers |= {"reference": published and published[1]}
+    numbers |= {"first_seconds": seconds, "first_steps": steps, "last": summary["last_lap_total"]}
+    numbers |= {"best": summary["best_lap_total"], "flying_lap": fastest}
+    return numbers | {"memory_mib": summary["peak_memory_mib"]}, flights
 
 
-def _lowest(times: np.ndarray) -> float | None:
-    finished = times[np.isfinite(times)]
-    return round(float(finished.min()), 3) if finished.size else None
-
-
-COLUMNS = (
-    ("seed", lambda r: str(r.seed)),
-    ("train s", lambda r: f"{r.seconds:.0f}"),
-    ("M steps", lambda r: f"{r.steps / 1e6:.1f}"),
-    ("<{reference} at s", lambda r: _cell(r.first_seconds, 0)),
-    ("at M steps", lambda r: _cell(r.first_steps and r.first_steps / 1e6, 1)),
-    ("last", lambda r: _cell(r.last, 2)),
-    ("best", lambda r: _cell(r.best, 2)),
-    ("best lap", lambda r: _cell(r.flying_lap, 2)),
-    ("MiB", lambda r: _cell(r.memory_mib, 0)),
-)
-
-
-def _cell(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
-
-
-def format_seeds(results: Sequence[SeedResult]) -> str:
-    """Markdown tables of training and of flights, one line per seed.
+def format_seeds(results: Sequence[tuple[dict[str, Any], Evaluation]]) -> str:
+    """Markdown tables of training and of flights, one line per seed; see ``evaluate_seed``.
 
     The published time is there only where there is one.
     """
-    reference = results[0].reference
-    columns = [c for c in COLUMNS if reference is not None or not c[0].startswith(("<", "at"))]
-    titles = [title.format(reference=_cell(reference, 2)) for title, _ in columns]
-    training = table([titles, *([show(result) for _, show in columns] for result in results)])
-    return f"{training}\n\n{joined([result.flights for result in results]).table()}"
+    reference = results[0][0]["reference"]
+    columns = {k: c for k, c in COLUMNS.items() if reference or not k.startswith("first")}
+    rows = [[title.format(reference=reference) for title, _, _ in columns.values()]]
+    for numbers, _ in results:
+        cells = ((numbers[key], scale, form) for key, (_, scale, form) in columns.items())
+        rows.append(["-" if x is None else f"{scale * x:{form}}" for x, scale, form in cells])
+    return f"{table(rows)}\n\n{joined([flights for _, flights in results]).table()}"

@@ -1,14 +1,18 @@
-"""Several seeds of one config, trained, flown and tabulated."""
+"""Several seeds of one config: trained, flown, tabulated and drawn."""
 
 import numpy as np
 import pytest
 
+from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.evaluation import seeds
+from quadjax.core.files import write_text
+from quadjax.core.plotting import save_figure
 from quadjax.evaluation.conditions import read_conditions
+from quadjax.evaluation.curves import COLORS, learning_figure, spread, training_figure
 from quadjax.evaluation.evaluate import Evaluation
 from quadjax.evaluation.rows import Row
-from quadjax.evaluation.seeds import configs_of, train_once
+from quadjax.evaluation.seeds import COLUMNS, configs_of, evaluate_seed, format_seeds, train_once
+from quadjax.training.result import read_metrics
 from tests.evaluation.test_laps import flights
 from tests.surface.short import OF_EACH, OF_LEARNER
 from tests.test_training import CONFIGS
@@ -26,37 +30,121 @@ def test_a_seed_is_trained_once_and_not_passed_off_as_another(tmp_path):
     assert (folder / "summary.json").stat().st_mtime_ns == before
     with pytest.raises(InputError, match="discount"):
         train_once(CONFIG, [*words, "learner.discount=0.9"], tmp_path)
-    result = seeds.evaluate_seed(folder, 2)
-    assert result.seed == 3 and result.steps == 512
-    assert [row["runs"] for row in result.to_json()["flights"]] == [2] * 4
-    for table in seeds.format_seeds([result]).split("\n\n")[:2]:
+    with pytest.raises(InputError, match="other failed with status 2"):
+        train_once(CONFIG, [*TINY, "name=other", "run.initial_policy=none.npz"], tmp_path)
+    numbers, flown = evaluate_seed(folder, 2)
+    assert numbers["seed"] == 3 and numbers["steps"] == 512
+    assert [row.runs for row in flown.rows] == [2] * 4
+    for table in format_seeds([(numbers, flown)]).split("\n\n")[:2]:
         assert len({line.count("|") for line in table.splitlines()}) == 1
-    assert result.reference is None and "at s |" not in table  # one lap has no published time
+    assert numbers["reference"] is None and "at s |" not in table  # one lap has no published time
 
 
 def test_the_table_names_the_published_time():
-    numbers = {field: 1.0 for field in seeds.SeedResult.__dataclass_fields__}
     rows = (Row("seed 2", flights(2.0), "mean"),)
-    listed = read_conditions("protocols")
-    flown = Evaluation(rows, listed, {"policy": {"file": "a"}}, (), True)
-    given = {"reference": 17.14, "seed": 2, "last": None, "flights": flown}
-    result = seeds.SeedResult(**numbers | given)
-    head, _, row = seeds.format_seeds([result]).split("\n\n")[0].splitlines()
-    assert "<17.14 at s" in head and "| 2 |" in row and "| - |" in row
-    assert np.isfinite(result.best)
-
-
-@pytest.mark.slow
-def test_a_training_that_fails_is_one_line(tmp_path):
-    with pytest.raises(InputError, match="e2e_ppo failed with status 2"):
-        train_once(CONFIG, [*TINY, "run.initial_policy=none.npz"], tmp_path)
+    flown = Evaluation(rows, read_conditions("protocols"), {"policy": {"file": "a"}}, (), True)
+    numbers = dict.fromkeys(COLUMNS, 1e6) | {"reference": 17.14, "seed": 2, "last": None}
+    head, _, row = format_seeds([(numbers, flown)]).split("\n\n")[0].splitlines()
+    assert "<17.14 at s | at M steps | last |" in head
+    assert row.startswith("| 2 | 1000000 | 1.0 | 1000000 | 1.0 | - | 1000000.00 |")
 
 
 def test_configs_have_names_that_differ():
     files = [str(CONFIGS / name) for name in ("e2e_ppo.yaml", "indi_ppo.yaml")]
-    configs = configs_of(files, ["learner.num_epochs=2"])
-    assert list(configs) == ["e2e_ppo", "indi_ppo"]
-    assert all(config.learner.num_epochs == 2 for config in configs.values())
+    assert list(configs_of(files, [])) == ["e2e_ppo", "indi_ppo"]
     assert list(configs_of(["e2e", "e2e +fastest name=other"], [])) == ["e2e", "other"]
     with pytest.raises(InputError, match="named mine"):
         configs_of(files, ["name=mine"])
+
+
+def make_run(folder, times, seconds_each=10.0, config="e2e_ppo.yaml", overrides=()):
+    """A run's folder with a row of metrics for each lap time, s."""
+    write_text(folder / "config.yaml", load_config(CONFIGS / config, overrides).to_yaml())
+    rows = [f"{500_000 * i},{seconds_each * i},{time}" for i, time in enumerate(times, 1)]
+    write_text(folder / "metrics.csv", "\n".join(["steps,seconds,lap_total", *rows, ""]))
+    return folder
+
+
+def test_half_of_the_seeds_make_a_line_and_seeds_keep_their_latest_time():
+    inf, nan = np.inf, np.nan
+    along = [np.array([1.0, 2, 3, 4])] * 4
+    times = [
+        np.array([20.0, 18, 16, 14]),
+        np.array([inf, 19, 17, 15]),
+        np.array([inf, nan, 18, inf]),
+        np.array([inf, inf, inf, inf]),
+    ]
+    wanted = (along[0], [nan, 19, 17.5, 15], [20, 18, 16, 14], [20, 19, 18, 15])
+    np.testing.assert_array_equal(spread(along, times), wanted)
+    np.testing.assert_array_equal(spread(along[:3], times[:3])[1], [nan, 19, 17, 15])
+    seconds = [np.array([10.0, 20]), np.array([12.0, 30])]
+    values = spread(seconds, [np.array([15.0, 14]), np.array([17.0, 16])])
+    wanted = ([10, 12, 20, 30], [15, 16, 15.5, 15], [15, 15, 14, 14], [15, 17, 17, 16])
+    np.testing.assert_array_equal(values, wanted)
+
+
+def test_groups_are_drawn_and_published_times_next_to_their_race_only(tmp_path):
+    overrides = ["run.score=sampled"]
+    e2e = [make_run(tmp_path / f"a{i}", [np.inf, 16.0 + i, 15.0 + i]) for i in range(3)]
+    indi = [make_run(tmp_path / "b", [20.0, 17.5, 17.0], 25.0, "indi_table1.yaml", overrides)]
+    figure = learning_figure({"e2e": e2e, "indi": indi})
+    wall, steps = figure.axes
+    assert "wall time" in wall.get_xlabel() and "steps" in steps.get_xlabel()
+    assert "6 laps" in wall.get_ylabel()
+    assert not wall.texts  # e2e is another race than the published ones
+    alone = learning_figure({"indi": indi}).axes[0]
+    assert [text.get_text() for text in alone.texts] == ["Table I, INDI simulated, sampled"]
+    other = make_run(tmp_path / "c", [20.0, 17.5], 25.0, "indi_ppo.yaml", overrides)
+    assert not learning_figure({"indi": [*indi, other]}).axes[0].texts
+    curves = {line.get_label(): line for line in steps.lines}
+    assert list(curves) == ["e2e (3 seeds, mean action)", "indi (1 seed, sampled)"]
+    drawn = curves["e2e (3 seeds, mean action)"]
+    assert drawn.get_xdata().tolist() == [0.5, 1.0, 1.5]
+    np.testing.assert_array_equal(drawn.get_ydata(), [np.nan, 17, 16])
+    assert wall.lines[1].get_xdata().tolist() == [25, 50, 75]
+    assert wall.lines[0].get_color() == steps.lines[0].get_color() != wall.lines[1].get_color()
+    save_figure(figure, tmp_path / "curves.png")
+
+
+def test_runs_that_never_finish_or_cannot_be_compared(tmp_path):
+    six, two = (
+        make_run(tmp_path / str(n), [np.inf, np.inf], overrides=[f"evaluate.laps={n}"])
+        for n in (6, 2)
+    )
+    axes = learning_figure({"two": [two]}).axes[0]
+    assert [text.get_text() for text in axes.texts] == ["no run completed its laps"]
+    assert "2 laps" in axes.get_ylabel()
+    with pytest.raises(InputError, match="six 6 laps, two 2 laps"):
+        learning_figure({"six": [six], "two": [two]})
+    write_text(two / "metrics.csv", "steps,lap_total\n1,2\n")
+    with pytest.raises(InputError, match="metrics.csv: no column seconds"):
+        learning_figure({"two": [two]})
+    with pytest.raises(InputError, match="no runs"):
+        learning_figure({"none": []})
+    with pytest.raises(InputError, match="allowed: 1 to"):
+        learning_figure({str(i): [six] for i in range(len(COLORS) + 1)})
+
+
+def test_training_curves_have_the_columns_of_a_metrics_file(tmp_path):
+    path = tmp_path / "metrics.csv"
+    rows = [f"{i},{0.5 * i},{i / 10},{'inf' if i < 4 else 20 - i}" for i in range(1, 6)]
+    path.write_text("\n".join(["steps,seconds,reward,lap_total", *rows, "6,3."]))
+    metrics = read_metrics(path)
+    assert metrics["steps"].tolist() == [1, 2, 3, 4, 5]
+    panels = training_figure({"run": metrics}, "run", ("published", 15.75)).axes
+    assert [axes.get_ylabel() for axes in panels[::2]] == ["reward per step", "all laps (s)"]
+    np.testing.assert_allclose(panels[3].lines[0].get_data(), [[4e-6, 5e-6], [16, 15]])
+    assert [text.get_text() for text in panels[3].texts] == ["published"]
+    no_laps = metrics | {"lap_total": np.full(5, np.inf)}
+    del no_laps["seconds"]
+    assert len(training_figure({"run": no_laps}).axes) == 1
+    with pytest.raises(InputError, match="columns steps; expected one of seconds"):
+        training_figure({"run": {"steps": metrics["steps"]}})
+    for text, says in (
+        ("", "no rows"),
+        ("steps,reward\n1,x\n", "line 2: 'reward'"),
+        ("a,b\n1,2,3\n", "line 2"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=says):
+            read_metrics(path)
