@@ -9,7 +9,7 @@ from matplotlib.animation import FuncAnimation, PillowWriter
 from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
 from quadjax.core.plotting import INK, SERIES, new_figure, tidy
-from quadjax.evaluation.figures import UP, draw_gate, draw_gate_from_side, extent, number_gates
+from quadjax.evaluation.figures import UP, draw_track, extent
 from quadjax.evaluation.table import counted
 from quadjax.flights.flight import Flight
 from quadjax.race.track import GateSection
@@ -18,12 +18,6 @@ FRAMES_PER_SECOND = 20
 HOLD_FRAMES = 10  # of the end
 TRAIL_SECONDS = 0.8
 WIDTH, DPI = 8.0, 90  # inches; dots per inch
-
-
-def frame_count(flights: Sequence[Flight]) -> int:
-    """Number of frames of the flights, without those of the end."""
-    longest = max(float(flight.time[-1]) for flight in flights)
-    return int(np.ceil(longest * FRAMES_PER_SECOND)) + 1
 
 
 def write_animation(
@@ -51,47 +45,39 @@ def write_animation(
         raise InputError("no flight to draw")
     if names and len(names) != len(flights):
         raise InputError(f"{counted(len(names), 'name')} for {counted(len(flights), 'flight')}")
-    low, high = extent(flights, gates)
-    size = high - low
+    limits = extent(flights, gates)
+    size = limits[1] - limits[0]
     figure = new_figure(WIDTH, min(9.0, WIDTH / size[0] * (size[1] + size[2]) + 1.2))
-    above, side = figure.subplots(2, 1, sharex=True, height_ratios=[size[1], size[2]])
-    for gate in gates:
-        draw_gate(above, gate, 0.055 * float(size.max()))
-        draw_gate_from_side(side, gate)
-    number_gates(above, side, gates, 0.055 * float(size.max()))
-    above.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal")
-    side.set(ylim=(low[2], high[2]), aspect="equal")
-    trails = []
-    labels = list(names) or [""] * len(flights)
-    for index, (_, name) in enumerate(zip(flights, labels, strict=True)):
-        color = SERIES[index % len(SERIES)]
-        for axes in (above, side):
-            label = name if axes is above else ""
-            trails.append(axes.plot([], [], color=color, lw=2.0, label=label)[0])
-            trails.append(axes.plot([], [], "o", color=color, ms=8, mec=INK)[0])
+    views = above, side = figure.subplots(2, 1, sharex=True, height_ratios=[size[1], size[2]])
+    draw_track(above, side, gates, limits)
+    lines = []  # of each flight and view: columns of the position, trail and drone
+    for index, flight in enumerate(flights):
+        color, name = SERIES[index % len(SERIES)], names[index] if names else ""
+        for axes, columns in zip(views, ([0, 1], [0, 2]), strict=True):
+            (trail,) = axes.plot([], [], color=color, lw=2.0, label=name)
+            (drone,) = axes.plot([], [], "o", color=color, ms=8, mec=INK)
+            lines.append((flight, columns, trail, drone))
     if names:
         above.legend(loc="upper right", frameon=False, labelcolor=INK)
-    for axes, label in ((above, "y, east (m)"), (side, "height (m)")):
+    for axes, label in zip(views, ("y, east (m)", "height (m)"), strict=True):
         tidy(axes)
         axes.set_ylabel(label, color=INK)
     clock = above.set_title("0.00 s", loc="left", color=INK, fontsize=12, family="monospace")
-    last = frame_count(flights) - 1
+    last = int(np.ceil(max(float(flight.time[-1]) for flight in flights) * FRAMES_PER_SECOND))
 
     def draw(frame: int) -> list:
         now = min(frame, last) / FRAMES_PER_SECOND
-        for index, flight in enumerate(flights):
-            rows = flight.time <= now + 1e-9
-            points = flight["position"][rows & (flight.time >= now - TRAIL_SECONDS)] * UP
-            points = points if len(points) else flight["position"][rows][-1:] * UP
-            for view, columns in enumerate(([0, 1], [0, 2])):
-                trail, drone = trails[4 * index + 2 * view : 4 * index + 2 * view + 2]
-                trail.set_data(*points[:, columns].T)
-                drone.set_data(*points[-1:, columns].T)
+        for flight, columns, trail, drone in lines:
+            count = max(1, int(np.searchsorted(flight.time, now + 1e-9, side="right")))
+            first = int(np.searchsorted(flight.time, now - TRAIL_SECONDS))
+            points = (flight["position"] * UP)[min(first, count - 1) : count, columns]
+            trail.set_data(*points.T)
+            drone.set_data(*points[-1:].T)
         laps = int(np.searchsorted(flights[0].lap_ends, now + 1e-9, side="right"))
         times = "  ".join(f"{time:.2f}" for time in flights[0].lap_times[:laps])
         clock.set_text(f"{now:6.2f} s  {times}" if len(flights) == 1 else f"{now:6.2f} s")
         advance()
-        return [*trails, clock]
+        return [clock]
 
     figure.canvas.draw()
     figure.set_layout_engine("none")  # once is enough

@@ -269,7 +269,7 @@ class Evaluation:
 
     def plot_attitude(self) -> Figure:
         """Height, speed and Euler angles of the best run over time."""
-        return charts.attitude_figure({"": self.best}, flight_title(self.best))
+        return charts.attitude_figure(self.best, flight_title(self.best))
 
     def show(self, path: Path | str | None = None) -> None:
         """Show the runs in 3D: in a notebook, or as a page in the browser.

@@ -11,14 +11,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import provenance
-from quadjax.evaluation.charts import (
-    Response,
-    box_figure,
-    commands_of,
-    error_figure,
-    gap_figure,
-    response,
-)
+from quadjax.evaluation.charts import Response, box_figure, error_figure, gap_figure, response
 from quadjax.evaluation.figures import Groups, trajectory_figure
 from quadjax.evaluation.table import flights_table
 from quadjax.flights.flight import Flight, fastest
@@ -71,20 +64,13 @@ def report_figures(groups: Groups, config: Config) -> Iterator[tuple[str, Figure
     yield "boxes", box_figure(groups)
     yield "gaps", gap_figure(groups, len(gates))
     yield "trajectories", trajectory_figure(groups, gates)
-    for label, (best, found) in fastest_responses(groups, config).items():
+    for label, (best, signals) in fastest_responses(groups, config).items():
         title = f"{label}, {best.name}"
-        yield f"errors_{labels.index(label) + 1}", error_figure(best, found, len(gates), title)
+        yield f"errors_{labels.index(label) + 1}", error_figure(best, signals, len(gates), title)
 
 
 def fastest_responses(groups: Groups, config: Config) -> dict[str, tuple[Flight, Response]]:
-    """The fastest flight of each group that has commands, and the response to them, by label.
-
-    Without the groups whose vehicle model the config's vehicle has no constants of.
-    """
-    found, models = {}, (config.vehicle.model, *config.vehicle.models)
-    for label, flights in groups.items():
-        best = fastest(flights)
-        kind = commands_of(best)
-        if kind in models:
-            found[label] = best, response(best, config.vehicle.with_model(kind).constants)
-    return found
+    """The fastest flight of each group with its ``response``, by label, where there is one."""
+    best = {label: fastest(flights) for label, flights in groups.items()}
+    signals = {label: response(flight, config.vehicle) for label, flight in best.items()}
+    return {label: (best[label], found) for label, found in signals.items() if found is not None}

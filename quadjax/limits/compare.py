@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from quadjax.core.plotting import INK, MUTED, SERIES, head, new_figure, tidy
-from quadjax.evaluation.figures import draw_gate, gate_labels, label_places, same_place
+from quadjax.evaluation.figures import draw_gates
 from quadjax.limits.problem import POSITION, VELOCITY, Problem, euler_of
 from quadjax.limits.trajectory import Trajectory
 from quadjax.race.track import GateSection
@@ -93,12 +93,7 @@ def flights_figure(
         path.plot(x, y, color=color, label=label)
         _draw(problem, flight, axes, color)
     reach = 0.055 * float(np.ptp([gate.position for gate in gates], axis=0).max())
-    for gate in gates:
-        draw_gate(path, gate, reach)
-    places = label_places(gates, reach)
-    for group in same_place(places):
-        label, _ = gate_labels(gates, group)
-        path.annotate(label, tuple(places[group[0]]), ha="center", va="center", color=MUTED)
+    draw_gates(path, gates, reach)
     path.invert_yaxis()
     path.set(xlabel="x, north [m]", ylabel="y, east [m]")
     labels = ("speed [m/s]", "roll [deg]", "pitch [deg]", "commands")

@@ -8,11 +8,9 @@ from quadjax.core.errors import InputError
 from quadjax.core.plotting import save_figure
 from quadjax.evaluation import animation
 from quadjax.evaluation.charts import attitude_figure, signals_figure
-from quadjax.evaluation.curves import training_figure
 from quadjax.evaluation.figures import space_figure, trajectory_figure
 from quadjax.flights.flight import Flight, Signal, motion_signals
 from quadjax.race.track import GateSection
-from quadjax.training.result import read_metrics
 
 GATES = [
     GateSection(position=(2.0, 0.0, -1.5), yaw_deg=90.0),
@@ -100,35 +98,12 @@ def test_a_short_unmoving_flight_can_be_drawn():
 
 
 @pytest.mark.parametrize("motors", [4, 1])
-def test_signals_are_drawn(motors):
-    assert colors(pixels(signals_figure(circle(motors)))) > 50
-
-
-def test_training_curves_come_from_a_metrics_file(tmp_path):
-    path = tmp_path / "metrics.csv"
-    rows = [f"{i},{0.5 * i},{i / 10},{'inf' if i < 4 else 20 - i}" for i in range(1, 6)]
-    path.write_text("\n".join(["steps,seconds,reward,lap_total", *rows, "6,3."]))
-    metrics = read_metrics(path)
-    assert metrics["steps"].tolist() == [1, 2, 3, 4, 5]
-    figure = training_figure({"run": metrics}, reference=("published", 15.75))
-    assert len(figure.axes) == 4
-    assert colors(pixels(figure)) > 30
-
-
-def test_metrics_without_a_finished_lap_can_be_drawn():
-    columns = {"steps": np.arange(3.0), "reward": np.arange(3.0), "lap_total": np.full(3, np.inf)}
-    assert len(training_figure({"run": columns}).axes) == 1
-
-
-@pytest.mark.parametrize(
-    ("text", "names"),
-    [("", "no rows"), ("steps,reward\n1,x\n", "line 2: 'reward'"), ("a,b\n1,2,3\n", "line 2")],
-)
-def test_a_bad_metrics_file_is_refused(tmp_path, text, names):
-    path = tmp_path / "metrics.csv"
-    path.write_text(text)
-    with pytest.raises(InputError, match=names):
-        read_metrics(path)
+def test_signals_are_drawn_with_the_commanded_thrust_of_a_single_actuator(motors):
+    above, below = signals_figure(circle(motors)).axes
+    assert len(above.lines) == (5 if motors == 4 else 3)  # with the end of the lap
+    np.testing.assert_array_equal(below.lines[1].get_ydata(), circle()["rates"][:, 1])
+    commanded = [line for line in above.lines if line.get_label() == "commanded"]
+    assert len(commanded) == (motors == 1)
 
 
 def test_figures_are_written_whole(tmp_path):
@@ -141,13 +116,14 @@ def test_figures_are_written_whole(tmp_path):
         save_figure(figure, "/dev/null/a.png")
 
 
+@pytest.mark.slow
 def test_an_animation_is_a_gif_in_real_time(tmp_path):
     path, calls = tmp_path / "flight.gif", []
     flights = [circle(seconds=0.5), circle(seconds=0.4, crash="hit a gate")]
     animation.write_animation(flights, GATES, path, lambda: calls.append(1), names=["E2E", "INDI"])
     with Image.open(path) as film:
         assert film.format == "GIF" and film.size[0] > 500
-        assert film.n_frames >= animation.frame_count(flights) == 11
+        assert film.n_frames >= 11
         assert film.info["duration"] == 50
         first = np.asarray(film.convert("RGB"))
         film.seek(5)
@@ -174,14 +150,11 @@ def test_a_flight_in_space_has_its_gates_and_equal_scales():
 
 def test_height_and_attitude_are_drawn_upwards_and_in_degrees():
     flight = circle()
-    axes = attitude_figure({"one": flight}).axes
-    lines = [panel.lines[0].get_ydata() for panel in axes]
+    lines = [panel.lines[0].get_ydata() for panel in attitude_figure(flight).axes]
     np.testing.assert_allclose(lines[0], -flight["position"][:, 2])
     np.testing.assert_allclose(lines[1], flight.speed)
     for line, angle in zip(lines[2:], flight["attitude"].T, strict=True):
         np.testing.assert_allclose(np.radians(line), np.unwrap(angle), atol=1e-9)
-    with pytest.raises(InputError, match="0 flights to draw"):
-        attitude_figure({})
 
 
 @pytest.mark.parametrize("suffix", ["svg", "pdf"])
