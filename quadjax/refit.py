@@ -254,7 +254,7 @@ def changes(present: Model, model: Model) -> str:
         [name, f"{old:.5g}", f"{new:.5g}", f"{100.0 * (new / (old or 1e-300) - 1.0):+.1f}%"]
         for name, (old, new) in parts.items()
     ]
-    headings = {0: "constants", first: "held out"}
+    rows = [["constants"], *rows[:first], ["held out"], *rows[first:]]
     battery, notes = model.battery, []
     if battery is not None and not battery.converged:
         notes.append("warning: the fit of the battery stopped before it converged")
@@ -269,7 +269,7 @@ def changes(present: Model, model: Model) -> str:
             f"{battery.sag:.0f} rpm less at the load of hover, {battery.drain:.1f} rpm less per "
             "second of hover"
         )
-    return Table(["", "present", "refitted", "change"], rows, headings, notes=notes).format()
+    return Table(["", "present", "refitted", "change"], rows, notes).format()
 
 
 def _flight(log: FlightLog, config: Config) -> Flight | None:

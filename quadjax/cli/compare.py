@@ -67,11 +67,10 @@ def compare(
     elif runs % plants:
         raise InputError(f"--runs is {runs}, allowed: multiples of --plants ({plants})")
     plant, listed = load_plant_config(config, overrides), read_conditions("plants", conditions)
-    setting = comparison.Setting(
-        load_config(race), plant, listed, laps, runs, seed, plants, not sampled
-    )
-    contenders = comparison.read_contenders(e2e, indi)
+    policies, numbers = {"E2E": e2e, "INDI": indi}, (laps, runs, seed, plants, not sampled)
+    setting = comparison.Setting(policies, load_config(race), plant, listed, *numbers)
+    setting.check()
     with results(folder, "comparison", comparison.FILES, overwrite) as new, steps() as report:
-        text = comparison.run_comparison(setting, contenders, chosen, new, report)
+        text = comparison.run_comparison(setting, chosen, new, report)
     print(text)
     wrote(f"{folder}/ in {time.monotonic() - started:.0f} s")

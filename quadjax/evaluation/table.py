@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, get_args
 
@@ -21,6 +22,7 @@ Format = Literal["text", "markdown", "latex"]
 WIDTH = 80  # columns of a terminal
 WIDEST_LABEL = 40  # columns of the first column as text; longer labels are wrapped
 LISTED = 10  # flights of a group that have a line each
+BOLD = re.compile(r"^\*(.*)\*$")
 SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 
 
@@ -30,16 +32,12 @@ class Table:
 
     Attributes:
         titles: of the columns.
-        rows: cells of each line.
-        headings: text above a line, by the index of the line.
-        bold: indices of lines that stand out.
+        rows: cells of each line; a line of one cell is a heading. A cell ``*so*`` stands out.
         notes: lines below the table.
     """
 
     titles: Sequence[str]
     rows: Sequence[Sequence[str]]
-    headings: Mapping[int, str] = dataclasses.field(default_factory=dict)
-    bold: frozenset[int] = frozenset()
     notes: Sequence[str] = ()
 
     def format(self, kind: Format = "text") -> str:
@@ -54,7 +52,8 @@ class Table:
 
     def _text(self) -> str:
         """Columns that do not fit continue in another block."""
-        widths = [max(map(len, column)) for column in zip(self.titles, *self.rows, strict=True)]
+        cells = [self.titles, *(row for row in self.rows if len(row) > 1)]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         widths[0] = min(widths[0], WIDEST_LABEL)
         blocks: list[list[int]] = [[]]
         for column in range(1, len(widths)):
@@ -69,43 +68,36 @@ class Table:
         grid.add_column(Text(self.titles[0]), width=label)
         for column in columns:
             grid.add_column(Text(self.titles[column]), justify="right", no_wrap=True)
-        for index, row in enumerate(self.rows):
-            if index in self.headings:
+        for row in self.rows:
+            if len(row) == 1:
                 grid.add_section()
-                grid.add_row(Text(self.headings[index]))
-            mark = "*" if index in self.bold else ""
-            grid.add_row(Text(row[0]), *(Text(f"{mark}{row[c]}{mark}") for c in columns))
+            grid.add_row(*(Text(row[c]) for c in (0, *columns) if c < len(row)))
         stream = io.StringIO()
         Console(file=stream, width=10 * WIDTH, color_system=None).print(grid)
         return "\n".join(line.rstrip() for line in stream.getvalue().rstrip().splitlines())
 
     def _markdown(self) -> str:
-        rows = []
-        for index, row in enumerate(self.rows):
-            if index in self.headings:
-                rows.append([self.headings[index], *[""] * (len(row) - 1)])
-            mark = "**" if index in self.bold else ""
-            rows.append([row[0], *(f"{mark}{cell}{mark}" if cell else "" for cell in row[1:])])
-        return "\n\n".join([markdown.table([self.titles, *rows]), *self.notes])
+        rows = [[*row, *[""] * (len(self.titles) - len(row))] for row in self.rows]
+        bold = [[BOLD.sub(r"**\1**", cell) for cell in row] for row in rows]
+        return "\n\n".join([markdown.table([self.titles, *bold]), *self.notes])
 
     def _latex(self) -> str:
         width = len(self.titles)
-        lines = [rf"\begin{{tabular}}{{l{'r' * (width - 1)}}}", r"\toprule", _line(self.titles)]
-        for index, row in enumerate(self.rows):
-            if index in self.headings:
-                head = _escaped(self.headings[index])
-                lines += [r"\midrule", rf"\multicolumn{{{width}}}{{l}}{{{head}}} \\"]
-            elif index == 0:
-                lines.append(r"\midrule")
-            lines.append(_line(row, bold=index in self.bold))
-        return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"])
+        rows = [rf"\begin{{tabular}}{{l{'r' * (width - 1)}}}", r"\toprule", _line(self.titles)]
+        if self.rows and len(self.rows[0]) > 1:
+            rows.append(r"\midrule")
+        for row in self.rows:
+            if len(row) == 1:
+                head = _escaped(row[0])
+                rows += [r"\midrule", rf"\multicolumn{{{width}}}{{l}}{{{head}}} \\"]
+            else:
+                rows.append(_line(row))
+        return "\n".join([*rows, r"\bottomrule", r"\end{tabular}"])
 
 
-def _line(cells: Sequence[str], bold: bool = False) -> str:
+def _line(cells: Sequence[str]) -> str:
     texts = ["--" if cell == "-" else _escaped(cell) for cell in cells]
-    if bold:
-        texts[1:] = [rf"\textbf{{{text}}}" for text in texts[1:]]
-    return " & ".join(texts) + r" \\"
+    return " & ".join(BOLD.sub(r"\\textbf{\1}", text) for text in texts) + r" \\"
 
 
 def _escaped(text: str) -> str:
@@ -147,8 +139,9 @@ def lap_table(rows: Sequence[Row]) -> Table:
         last = ["-", "-"] if row in published else done
         lines.append([label, *_laps(row.lap_means, count), number(row.total), *last])
         notes += [f"{label}: {line}" for line in describe_crashes(row.laps)]
-    headings = {len(rows): "published"} if published else {}
-    return Table(["", *titles, "total", "best", "finished"], lines, headings, notes=notes)
+    if published:
+        lines.insert(len(rows), ["published"])
+    return Table(["", *titles, "total", "best", "finished"], lines, notes)
 
 
 def flights_table(groups: Mapping[str, Sequence[Flight]]) -> Table:
@@ -159,27 +152,25 @@ def flights_table(groups: Mapping[str, Sequence[Flight]]) -> Table:
     """
     count = max(len(flight.lap_times) for flights in groups.values() for flight in flights)
     rows: list[list[str]] = []
-    headings, bold = {}, set()
     for group, flights in groups.items():
-        headings[len(rows)] = group
+        rows.append([group])
         done = [f for f in flights if np.isfinite(f.total) and len(f.lap_times) == count]
         best, listed = fastest(flights), flights
         if len(flights) > LISTED:
             listed = [best, max(done, key=lambda f: f.total)] if len(done) > 1 else [best]
         for flight in listed:
             total = flight.total if len(flight.lap_times) == count else math.nan
+            cells = [*_laps(flight.lap_times, count), number(total)]
             if flight is best and len(flights) > 1 and np.isfinite(total):
-                bold.add(len(rows))
+                cells = [f"*{cell}*" for cell in cells]
             reason = f" ({flight.crash})" if flight.crash else ""
-            laps = _laps(flight.lap_times, count)
-            rows.append([f"  {flight.name}{reason}", *laps, number(total)])
+            rows.append([f"  {flight.name}{reason}", *cells])
         if len(flights) > 1 and done:
             share = f" ({len(done)}/{len(flights)} finished)" if len(done) < len(flights) else ""
             means = np.mean([[*flight.lap_times, flight.total] for flight in done], axis=0)
             rows.append([f"  mean of {len(done)}{share}", *map(number, means)])
     titles = ["", *(f"lap {lap + 1}" for lap in range(count)), "total"]
-    note = "seconds; *fastest flight of its group*"
-    return Table(titles, rows, headings, frozenset(bold), [note])
+    return Table(titles, rows, ["seconds; *fastest flight of its group*"])
 
 
 def _laps(times: Sequence[float] | np.ndarray, count: int) -> list[str]:
@@ -242,4 +233,4 @@ def policy_table(rows: Sequence[Row], column: str) -> Table:
             lines.append([f"published {row.policy}", *total])
     runs = rows[0].runs
     note = f"Seconds for all laps, mean of the flights that finish; in brackets, of {runs} flights."
-    return Table(["policy", *conditions], lines, notes=[note] if column == "total" else [])
+    return Table(["policy", *conditions], lines, [note] if column == "total" else [])

@@ -13,10 +13,10 @@ from quadjax import compare
 from quadjax.config.loading import load_config
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.evaluation.conditions import read_conditions
-from quadjax.evaluation.evaluate import Evaluation
 from quadjax.evaluation.plants import drawn
 from quadjax.evaluation.rows import Row, concatenate
 from quadjax.fitting.signals import first_order
+from quadjax.flights.flight import Flight, Signal
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import race_config
 from quadjax.policy.file import Policy
@@ -25,7 +25,7 @@ from tests.commands import run
 
 ROOT = Path(__file__).resolve().parents[2]
 LISTED = read_conditions("plants", ["all effects"])
-SETTING = compare.Setting(load_config("e2e +residual"), PlantConfig(), LISTED, runs=6)
+SETTING = compare.Setting({}, load_config("e2e +residual"), PlantConfig(), LISTED, runs=6)
 
 
 def laps(*seconds):
@@ -36,71 +36,57 @@ def laps(*seconds):
     return Laps(times, crashes, np.nansum(times, axis=1), 48.0)
 
 
-def evaluated(flown, command, name="command"):
-    flight = {name: np.full((10, 4), command)}
+def evaluated(flown, command, unit="rpm", name="command"):
+    values = Signal(np.full((10, 4), command), unit)
+    flight = Flight("", np.arange(10.0), {name: values, "command": values})
     return SimpleNamespace(row=Row("", flown), laps=flown, flights=[flight])
 
 
-def compared(name, file, simulated, on_plant):
-    contender = compare.Contender(name, Policy.load(PRETRAINED / file), file)
-    worlds = evaluated(simulated, 7000.0), evaluated(on_plant, 11000.0, "motor_command")
-    return compare.Compared(contender, *worlds)
-
-
 def test_the_table_has_flights_of_this_comparison_only():
-    e2e = compared("E2E", "e2e.npz", laps(2.5, 2.5), laps(*[2.6] * 5, np.nan))
-    indi = compared("INDI", "indi.npz", laps(2.75, 2.75), laps(*[2.85] * 6))
-    text = compare.table_text(SETTING, e2e, indi)
+    """INDI finishes a slow flight that E2E does not: without it the lead is 0.25 s a lap."""
+    flown = {
+        "E2E simulated": evaluated(laps(2.5, 2.5), 7000.0),
+        "E2E stand-in plant": evaluated(laps(*[2.6] * 5, np.nan), 11000.0, name="motor_command"),
+        "INDI simulated": evaluated(laps(2.75, 2.75), 7.0, ("rad/s",) * 4),
+        "INDI stand-in plant": evaluated(laps(*[2.85] * 5, 4.0), 11000.0, name="motor_command"),
+    }
+    text = compare.table_text(SETTING, flown)
     for line in (
         "E2E stand-in plant",
         "5/6",
-        "E2E's lead over INDI: +1.50 s simulated, +1.50 s on the stand-in plant; "
-        "first lap +0.25 -> +0.25 s, each later lap +0.25 -> +0.25 s",
-        "0% simulated, 100% on the stand-in plant",
+        "E2E's lead over INDI, simulated: +1.50 s; first lap +0.25 s, each later lap +0.25 s",
+        "E2E's lead over INDI, stand-in plant: +1.50 s; first lap +0.25 s, each later lap +0.25 s",
+        "0% simulated, 100% stand-in plant",
         "E2E stand-in plant: run 6: hit a gate in lap 4",
     ):
         assert line in text, text
     assert "published" not in text
-    assert compare.limit_fractions(SETTING, e2e) == (1.0, 0.0)
-    assert compare.limit_fractions(SETTING, indi) == (1.0, None)
-
-
-def test_the_lead_is_of_the_flights_that_both_finish():
-    """INDI finishes a slow flight that E2E does not: without it the lead is 0.25 s a lap."""
-    e2e = compared("E2E", "e2e.npz", laps(2.5, 2.5), laps(2.5, np.nan))
-    indi = compared("INDI", "indi.npz", laps(2.75, 2.75), laps(2.75, 4.0))
-    assert "+1.50 s on the stand-in plant" in compare.lead(e2e, indi)
-    none = compared("INDI", "indi.npz", laps(2.75, 2.75), laps(np.nan, np.nan))
-    assert compare.lead(e2e, none).endswith("INDI finished no run on the stand-in plant")
-    other = compared("INDI", "indi.npz", laps(2.75, 2.75), laps(np.nan, 2.75))
-    assert compare.lead(e2e, other).endswith(
-        "both finished no run of one seed on the stand-in plant"
-    )
+    shares = [compare.limit_fraction(SETTING, result) for result in flown.values()]
+    assert shares == [0.0, 1.0, None, 1.0]
+    none = Row("", laps(np.nan, 2.75))
+    text = compare.lead("simulated", Row("", laps(2.5, np.nan)), none)
+    assert text == "E2E's lead over INDI, simulated: no flight that both finish"
 
 
 def on_plants(*plants):
-    row = Row("", concatenate([laps(*each) for each in plants]), "all effects", len(plants))
-    return Evaluation((row,), LISTED, {}, ())
+    return [Row("", concatenate([laps(*each) for each in plants]), "all effects", len(plants))]
 
 
-def test_the_table_of_plants_has_both_and_the_lead():
+def test_the_table_of_plants_is_of_the_flights_that_both_finish():
+    """E2E finishes the fast plant alone, INDI both: without INDI's slow plant it is slower."""
     e2e, indi = on_plants((2.4, 2.4), (np.nan, 2.5)), on_plants((2.9, 2.9), (3.0, 3.0))
-    text = compare.plants_table(e2e, indi)
+    text, _ = compare.plants_table(e2e, indi)
     assert "14.70 ± 3.81" in text and "3/4" in text and "4/4" in text
     assert "E2E, all effects, early ends: hit a gate 1\n" in text
     assert "+3.00 ± 0.00 s; first lap +0.50 ± 0.00 s, each later lap +0.50 ± 0.00 s" in text
-
-
-def test_contenders_are_compared_on_the_flights_that_both_finish():
-    """E2E finishes the fast plant alone, INDI both: without INDI's slow plant it is slower."""
     e2e, indi = on_plants((2.5, np.nan), (np.nan, np.nan)), on_plants((2.4, 3.0), (3.0, 3.0))
-    text = compare.plants_table(e2e, indi)
+    text, numbers = compare.plants_table(e2e, indi)
     assert "all effects 15.00 1/4 14.40 4/4" in " ".join(text.split())
     assert "all effects: both finish 1 of 4 flights, on 1 of 2 plants" in text
-    assert "E2E's lead, all effects: -0.60 s; first lap -0.10 s" in text
-    numbers = compare.plant_numbers(e2e, indi, 1)["all effects"]
-    assert numbers["mean"] == pytest.approx(14.4) and numbers["each plant"][1] is None
-    assert (numbers["both finish"], numbers["finished"], numbers["runs"]) == (1, 4, 4)
+    assert "E2E's lead over INDI, all effects: -0.60 s; first lap -0.10 s" in text
+    found = numbers["INDI"]["all effects"]
+    assert found["mean"] == pytest.approx(14.4) and found["each plant"][1] is None
+    assert (found["both finish"], found["finished"], found["runs"]) == (1, 4, 4)
 
 
 def test_commands_mean_what_the_policy_was_trained_with():
@@ -119,8 +105,7 @@ def test_drawn_plants_differ_in_their_constants_only():
 
 def test_a_first_order_lag_of_held_commands():
     dt, tau = 0.002, 0.06
-    command = np.full((200, 2), 5.0)
-    made = first_order(command, np.array([1.0, 5.0]), tau, dt)
+    made = first_order(np.full((200, 2), 5.0), np.array([1.0, 5.0]), tau, dt)
     time = dt * np.arange(200)
     np.testing.assert_allclose(made[:, 0], 5.0 - 4.0 * np.exp(-time / tau), rtol=1e-9)
     np.testing.assert_allclose(made[:, 1], 5.0)
@@ -145,7 +130,6 @@ def test_policies_of_the_ablation_can_be_trained(variant, monkeypatch):
         (["--e2e", "missing.npz"], "missing.npz"),
         (["--e2e", PRETRAINED / "indi.npz"], "a policy for the rate"),
         (["effects.wind=1"], "effects.wind"),
-        (["--runs", "0"], "--runs"),
         (["--runs", "25"], "--runs is 25, allowed: multiples of --plants (10)"),
         (["--name", "../../zz"], "'../../zz'"),
     ],
