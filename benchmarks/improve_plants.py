@@ -26,9 +26,9 @@ def read(folder: Path) -> Plant:
     """The flights of a folder of ``quadjax improve``: of each round, and before and after."""
     rounds = []
     for place in sorted(folder.glob("round_*"), key=lambda path: int(path.name[6:])):
-        model = place / "model.json"
-        refused = json.loads(model.read_text())["refused"] if model.exists() else "none"
-        state = {"": "accepted", "none": "none"}.get(refused, "rejected")
+        refitted, state = json.loads((place / "model.json").read_text()), "none"
+        if refitted["before"]:
+            state = "rejected" if refitted["refused"] else "accepted"
         flown = json.loads((place / "flights.json").read_text())
         rounds.append({"flown": flown, "model": state})
     names = {"before": "check_*_before.json", "after": f"check_*_after_{len(rounds)}.json"}

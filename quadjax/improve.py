@@ -4,6 +4,7 @@ Flights are on the stand-in plant; with real logs nothing is flown. A step whose
 folder is not repeated, so the same command resumes after a stop.
 """
 
+import contextlib
 import dataclasses
 import hashlib
 from collections.abc import Callable, Sequence
@@ -22,6 +23,7 @@ from quadjax.fitting.flight_log import FlightLog, read_log
 from quadjax.fitting.report import PATTERNS as FIT_FILES
 from quadjax.flights.files import save
 from quadjax.plant.config import PlantConfig
+from quadjax.plant.flight import Plan
 from quadjax.plant.flights import fly_plan, plan_race
 from quadjax.policy.file import Policy
 from quadjax.race.rules import HIT_A_GATE
@@ -94,25 +96,22 @@ class Setting:
         Raises:
             InputError: in one line.
         """
-        name, policy = self.race.vehicle.model, Policy.load(self.policy)
-        if name != "motor":
-            raise InputError(f"vehicle.model is {name}, allowed: motor, whose constants logs give")
-        if policy.vehicle != name:
+        if self.race.vehicle.model != "motor":
             raise InputError(
-                f"{self.policy}: a policy for the {policy.vehicle} vehicle; vehicle.model of the "
-                f"config is {name}"
+                f"vehicle.model is {self.race.vehicle.model}, allowed: motor, whose constants logs "
+                "give"
             )
         if self.race.observation.critic_constants:
             raise InputError(
                 "observation.critic_constants is true, allowed: false; such a critic is not in the "
                 "policy's file, and fine-tuning needs it"
             )
-        if policy.value is None:
+        initial_policy(tuning_config(self.race, Round.first(self), None, 1))
+        if Policy.load(self.policy).value is None:
             raise InputError(
                 f"{self.policy} has no critic, which fine-tuning needs; allowed: files of quadjax "
                 "train with observation.critic_constants false"
             )
-        initial_policy(tuning_config(self.race, Round.first(self), None, 1))
 
     def start(self, folder: Path) -> None:
         """Write the setting, or compare it with that of the command that is resumed.
@@ -140,8 +139,7 @@ class Round:
         margin: m, inside the gates' edges, of the training.
         logs: of all rounds so far that are fitted.
         flown: its flights.
-        refitted: its model; None: the logs could not be fitted.
-        error: why not.
+        refitted: its model.
         computing: s.
         fitted: number of its logs that are fitted.
     """
@@ -152,7 +150,6 @@ class Round:
     logs: tuple[Path, ...] = ()
     flown: Flown = dataclasses.field(default_factory=dict)
     refitted: Model | None = None
-    error: str = ""
     computing: float = 0.0
     fitted: int = 0
 
@@ -200,7 +197,7 @@ def learn(setting: Setting, folder: Path, report: Report) -> Model:
     logs = [read_log(file, setting.fit.logs) for file in setting.logs]
     if not (folder / "model.json").exists():
         check_speeds(logs, before.model, setting.fit.logs.max_scale_error)
-    model = _refitted(setting, setting.logs, setting.logs, before.model, folder, report)
+    model = _refitted(setting, before, setting.logs, folder, report)
     if not model.refused:
         after = dataclasses.replace(before, model=model)
         Policy.load(tune(setting, after, logs, folder, report)).save(folder / "policy.npz")
@@ -233,25 +230,42 @@ def _round(setting: Setting, number: int, folder: Path, before: Round, report: R
         return fly_and_log(setting, before, name, places, setting.seed + number, report)
 
     flown = _once(folder / "flights.json", fly)
-    shortest = setting.fit.logs.min_seconds + SHORT
-    long = [run for run, seconds in enumerate(flown["seconds"]) if seconds > shortest]
-    recent = _accepted([places / f"{name}_{run}.csv" for run in long], setting.fit)
-    files = (*before.logs, *recent)
-    refitted, error = _model(setting, files, recent, before.model, folder, report)
-    logs = [read_log(file, setting.fit.logs) for file in files]
-    own = [log for log in logs if Path(log.path) in recent]
+    recent = {}  # logs that pass the checks; columns of short ones may seem inconsistent
+    for run, seconds in enumerate(flown["seconds"]):
+        if seconds > setting.fit.logs.min_seconds + SHORT:
+            file = places / f"{name}_{run}.csv"
+            with contextlib.suppress(InputError):
+                recent[file] = read_log(file, setting.fit.logs)
+    refitted = _refitted(setting, before, tuple(recent), folder, report)
     hit = [f"{name}_{run}" for run, why in enumerate(flown["crashes"]) if why == HIT_A_GATE]
     race = setting.race.at("reward.gate_edge_margin", before.margin)
-    margin = margin_of(race, own, hit, len(hit))
-    accepted = refitted is not None and not refitted.refused
-    model = refitted if refitted is not None and accepted else before.model
-    seconds = refitted.seconds if refitted else 0.0
-    after = Round(before.policy, model, margin, files, flown, refitted, error, seconds, len(recent))
-    if accepted or margin > before.margin:
+    margin = margin_of(race, list(recent.values()), hit)
+    after = dataclasses.replace(
+        before,
+        model=before.model if refitted.refused else refitted,
+        margin=margin,
+        logs=(*before.logs, *recent),
+        flown=flown,
+        refitted=refitted,
+        computing=refitted.seconds,
+        fitted=len(recent),
+    )
+    if not refitted.refused or margin > before.margin:
+        logs = [read_log(file, setting.fit.logs) for file in before.logs] + [*recent.values()]
         policy = tune(setting, after, logs, folder, report)
-        seconds += float(read_summary(folder / "training")["seconds"])
-        after = dataclasses.replace(after, policy=policy, computing=seconds)
+        seconds = float(read_summary(folder / "training")["seconds"])
+        after = dataclasses.replace(after, policy=policy, computing=refitted.seconds + seconds)
     return after
+
+
+def _plan(
+    setting: Setting, race: Config, policy: Path, rate: float, runs: int, logged: int
+) -> Plan:
+    assert setting.plant is not None
+    plant, network = setting.plant.replace(control_rate=rate), Policy.load(policy)
+    return plan_race(
+        race, plant, network, str(policy), lap_count=setting.laps, runs=runs, recorded=logged
+    )
 
 
 def fly_and_log(
@@ -259,14 +273,18 @@ def fly_and_log(
 ) -> Flown:
     """Fly a policy's mean action on the plant and write the logs ``folder/NAME_RUN.csv``."""
     assert setting.plant is not None
-    plant = setting.plant.replace(control_rate=setting.plant.sample_rate)
-    race, policy = state.model.race(setting.race), Policy.load(state.policy)
-    laps, runs = setting.laps, setting.flights
-    plan = plan_race(
-        race, plant, policy, str(state.policy), lap_count=laps, runs=runs, recorded=runs
-    )
+    race, runs = state.model.race(setting.race), setting.flights
+    plan = _plan(setting, race, state.policy, setting.plant.sample_rate, runs, runs)
     written = write_logs({name: plan}, folder, seed, report)
     return _results(*zip(*((log.seconds, log.total, log.crash) for log in written), strict=True))
+
+
+def fly_checks(setting: Setting, policy: Path) -> Flown:
+    """Results of ``setting.check`` flights of a policy, without logs."""
+    assert setting.plant is not None
+    plan = _plan(setting, setting.race, policy, setting.plant.control_rate, setting.check, 1)
+    laps = fly_plan(plan, CHECK_SEED + setting.seed).laps
+    return _results(laps.seconds.tolist(), laps.totals.tolist(), laps.crashes)
 
 
 def _results(seconds: Sequence[float], totals: Sequence[float], crashes: Sequence[str]) -> Flown:
@@ -274,55 +292,29 @@ def _results(seconds: Sequence[float], totals: Sequence[float], crashes: Sequenc
     return {"seconds": list(map(float, seconds)), "totals": whole, "crashes": list(crashes)}
 
 
-def _accepted(files: Sequence[Path], fit: FitConfig) -> list[Path]:
-    """The logs that pass the checks; columns of short logs may seem inconsistent."""
-    accepted = []
-    for file in files:
-        try:
-            read_log(file, fit.logs)
-        except InputError:
-            continue
-        accepted.append(file)
-    return accepted
+def _refitted(
+    setting: Setting, before: Round, recent: Sequence[Path], folder: Path, report: Report
+) -> Model:
+    """The model of ``folder/model.json``.
 
+    Where the logs of a round do not give one, it is the present one, without errors and refused.
+    """
 
-def _model(
-    setting: Setting,
-    files: Sequence[Path],
-    recent: Sequence[Path],
-    present: Model,
-    folder: Path,
-    report: Report,
-) -> tuple[Model | None, str]:
-    """The model of a round, or why the logs do not give one."""
-    refused, path = folder / "no_model.txt", folder / "model.json"
-    if path.exists():
-        return Model.from_json(read_json(path), path), ""
-    if not refused.exists():
+    def compute() -> dict[str, Any]:
+        present, battery = before.model, setting.race.battery
         try:
             if not recent:
                 raise InputError(
                     "every log of the round is rejected or shorter than logs.min_seconds"
                 )
-            return _refitted(setting, files, recent, present, folder, report), ""
+            files = (*before.logs, *recent)
+            model = refit(files, recent, setting.fit, present, folder, report, battery)
         except InputError as error:
-            write_text(refused, f"{error}\n")
-    return None, refused.read_text(encoding="utf-8").strip()
-
-
-def _refitted(
-    setting: Setting,
-    files: Sequence[Path],
-    recent: Sequence[Path],
-    present: Model,
-    folder: Path,
-    report: Report,
-) -> Model:
-    """The refitted model of ``folder/model.json``."""
-
-    def compute() -> dict[str, Any]:
-        battery = setting.race.battery
-        model = refit(files, recent, setting.fit, present, folder, report, battery)
+            if setting.logs:
+                raise
+            nothing: dict[str, float] = {}
+            model = dataclasses.replace(present, before=nothing, after=nothing, seconds=0.0)
+            model = dataclasses.replace(model, refused=str(error))
         return dataclasses.asdict(model)
 
     path = folder / "model.json"
@@ -384,17 +376,6 @@ def checked(setting: Setting, rounds: int, folder: Path, report: Report) -> dict
     return results
 
 
-def fly_checks(setting: Setting, policy: Path) -> Flown:
-    """Results of ``setting.check`` flights of a policy, without logs."""
-    assert setting.plant is not None
-    network, count, runs = Policy.load(policy), setting.laps, setting.check
-    plan = plan_race(
-        setting.race, setting.plant, network, str(policy), lap_count=count, runs=runs, recorded=1
-    )
-    laps = fly_plan(plan, CHECK_SEED + setting.seed).laps
-    return _results(laps.seconds.tolist(), laps.totals.tolist(), laps.crashes)
-
-
 def _cells(flown: Flown) -> tuple[str, str]:
     """How many flights finished, and the mean time of all laps of those."""
     done = [total for total in flown["totals"] if total is not None]
@@ -409,13 +390,13 @@ def rounds_table(rounds: Sequence[Round], check: dict[str, Flown]) -> str:
         flight, computing = flight + sum(done.flown["seconds"]), computing + done.computing
         crashes += sum(map(bool, done.flown["crashes"]))
         model, state, error = done.refitted, "none", "-"
-        if model is not None:
+        assert model is not None
+        if model.before:
             state, error = "rejected" if model.refused else "accepted", f"{model.change:+.0%}"
         cells = (f"{flight:.0f}", state, error, f"{computing:.0f}")
         rows.append((str(number), *_cells(done.flown), *cells))
         out = len(done.flown["totals"]) - done.fitted
-        notes += [f"round {number}: {out} logs left out, too short or rejected"] if out else []
-        why = done.error or (model.refused if model else "")
-        notes += [f"round {number}: the model is rejected: {why}"] if why else []
+        notes += [f"round {number}: {out} logs left out, too short or rejected"] * bool(out)
+        notes += [f"round {number}: the model is rejected: {model.refused}"] * bool(model.refused)
     rows += [(f"check, {name}", *_cells(flown), "", "", "", "") for name, flown in check.items()]
     return "\n".join([table(rows), "", f"crashes in the rounds: {crashes}", *notes])

@@ -340,7 +340,7 @@ def spread_of(clearance: dict[int, np.ndarray]) -> float:
     return float(np.sqrt(squares / chi2.ppf(UNSURE, free))) if free > 0 else float("nan")
 
 
-def margin_of(config: Config, logs: Sequence[FlightLog], hit: Collection[str], hits: int) -> float:
+def margin_of(config: Config, logs: Sequence[FlightLog], hit: Collection[str]) -> float:
     """The margin inside the gates' edges, m, that flights call for: ``reward.gate_edge_margin``.
 
     It grows by what ``SPREAD`` standard deviations of the clearance exceed its mean at the gate
@@ -350,8 +350,7 @@ def margin_of(config: Config, logs: Sequence[FlightLog], hit: Collection[str], h
     Args:
         config: of the training before.
         logs: the flights of its policy.
-        hit: names of the logs that end at a gate.
-        hits: number of flights that hit a gate; the checks of logs may reject some.
+        hit: names of the flights that hit a gate; the checks may reject some of their logs.
     """
     now = config.reward.gate_edge_margin
     if config.reward.gate_edge == 0:
@@ -359,7 +358,7 @@ def margin_of(config: Config, logs: Sequence[FlightLog], hit: Collection[str], h
     by_gate = clearances(logs, config, hit)
     least = min((float(values.mean()) for values in by_gate.values()), default=np.inf)
     needed = SPREAD * spread_of(by_gate) - least
-    more = max(needed if np.isfinite(needed) else 0.0, AFTER_A_HIT if hits else 0.0, 0.0)
+    more = max(needed if np.isfinite(needed) else 0.0, AFTER_A_HIT if hit else 0.0, 0.0)
     half = 0.5 * min(size for gate in config.track.gates for size in gate.size)
     largest = max(now, 0.5 * (half - config.rules.body_radius))
     return round(min(now + min(more, MOST), largest), 3)

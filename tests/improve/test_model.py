@@ -152,11 +152,11 @@ def test_the_margin_grows_with_hits_and_with_the_spread_of_the_clearance():
     still = [flown(config)] * 2
     for values in clearances(still, config).values():
         np.testing.assert_allclose(values, half, atol=1e-6)
-    assert margin_of(config, still, (), 0) == 0.05
-    assert margin_of(config, still, (), 1) == 0.1
+    assert margin_of(config, still, ()) == 0.05
+    assert margin_of(config, still, ("a",)) == 0.1
     spread = [flown(config, offset * half) for offset in (0.7, 0.85, 0.95)]
-    assert margin_of(config, spread, (), 0) > 0.1
-    assert margin_of(race(), spread, (), 2) == race().reward.gate_edge_margin
+    assert margin_of(config, spread, ()) > 0.1
+    assert margin_of(race(), spread, ("a",)) == race().reward.gate_edge_margin
 
 
 def test_the_spread_is_an_upper_bound_that_more_passages_lower():

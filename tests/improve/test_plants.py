@@ -17,7 +17,7 @@ def folder_of(path, after, refused=""):
     place = path / "round_1"
     place.mkdir(parents=True)
     (place / "flights.json").write_text(json.dumps(flown(8.5, None)))
-    (place / "model.json").write_text(json.dumps({"refused": refused}))
+    (place / "model.json").write_text(json.dumps({"refused": refused, "before": {"Mx": 1.0}}))
     (path / "check_2_before.json").write_text(json.dumps(flown(9.0, 9.2)))
     (path / "check_2_after_1.json").write_text(json.dumps(flown(*after)))
     return path

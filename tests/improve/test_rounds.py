@@ -146,5 +146,5 @@ def test_a_policy_of_another_vehicle_or_without_a_critic_is_refused(tmp_path):
     with pytest.raises(InputError, match="critic_constants is true, allowed: false"):
         dataclasses.replace(setting, race=drawn).check_policy()
     policy_file(tmp_path, race("vehicle.model=rate"))
-    with pytest.raises(InputError, match="a policy for the rate vehicle"):
+    with pytest.raises(InputError, match="has vehicle rate, the config has motor"):
         setting.check_policy()
