@@ -79,9 +79,9 @@ def box_figure(groups: Groups) -> Figure:
     for place, (group, flights) in enumerate(groups.items()):
         laps = [flight.lap_times for flight in flights]
         totals = [[flight.total] for flight in flights if len(flight.lap_times) == count]
-        columns = ([x[:1] for x in laps], [x[1:] for x in laps], totals)
+        columns: tuple[list[Any], ...] = ([x[:1] for x in laps], [x[1:] for x in laps], totals)
         for axes, times in zip(panels, columns, strict=True):
-            _box(axes, np.concatenate([[], *times]), place, colors[group])
+            _box(axes, np.concatenate([np.zeros(0), *times]), place, colors[group])
     for axes, label in zip(panels, labels, strict=True):
         tidy(axes)
         axes.grid(False, axis="y")

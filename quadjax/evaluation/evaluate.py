@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from quadjax.policy.file import Policy
 from quadjax.race.laps import Actor, Laps
 
 Record = Callable[[], list[Flight]]
+ALIKE = (LAPS, "hover", False)  # protocol of the published flights
 
 
 def evaluate(
@@ -92,50 +94,37 @@ def evaluate(
         enable_compilation_cache()
     listed = read_conditions((Condition(label="-"),) if conditions is None else conditions)
     numbers = {"runs": runs, "laps": laps, "gates": gates, "seconds": seconds, "seed": seed}
-    numbers |= {"plants": plants}
-    protocol = listed.resolved(
-        config, **numbers, deterministic=deterministic, start=start, tracks=tracks
-    )
+    choices = {"deterministic": deterministic, "start": start, "tracks": tracks, "plants": plants}
+    protocol = listed.resolved(config, **numbers, **choices)
     if not isinstance(plant, PlantConfig) and (plant := plant or protocol.plant) is not None:
         plant = load_plant_config(plant)
     if plant is not None and actor is not pilot.fly:
         raise InputError("actor is not None, allowed: without a plant")
-    rows, records = [], []
+    rows, records, label = [], [], _label(name)
     for condition, race in list(protocol.of(config)):
         progress(name if conditions is None else f"{name}: {condition.label}")
-        flown = protocol.under(condition)
+        flown, limit = protocol.under(condition), race.vehicle.fitted_speed
         if plant is None:
-            row, record = _simulate(network, name, (config, race), condition, flown, actor)
+            configs = (config, race)
+            times, speeds, record = simulate(network, name, configs, condition, flown, actor)
+            row = Row(label, times, condition.label, 1, speeds, limit)
+            if flown.tracks:
+                unseen = unseen_tracks(config, flown.runs or 1)
+                seeds = f"{unseen.seed} to {unseen.seed + unseen.count - 1}"
+                row = dataclasses.replace(row, condition=seeds)
+            elif (
+                condition.damage is None and (flown.laps, flown.start, flown.deterministic) == ALIKE
+            ):
+                row = dataclasses.replace(row, published=published_row(race))
         elif condition.damage is not None:
             raise InputError(f"condition {condition.label}: has damage, allowed: without a plant")
         else:
             times, record = fly_plants(network, name, race, condition.on_plant(plant), flown)
-            row = Row(_label(name), times, condition.label, flown.plants)
+            row = Row(label, times, condition.label, flown.plants)
         rows.append(row)
         records.append(record)
     origin = provenance(config, name, protocol.seed)
     return Evaluation(tuple(rows), protocol, origin, tuple(records), conditions is not None)
-
-
-def _simulate(
-    policy: Policy,
-    name: str,
-    configs: tuple[Config, Config],
-    condition: Condition,
-    protocol: Conditions,
-    actor: Actor,
-) -> tuple[Row, Record]:
-    config, race = configs
-    laps, speeds, record = simulate(policy, name, configs, condition, protocol, actor)
-    label, published = condition.label, None
-    if protocol.tracks:
-        tracks = unseen_tracks(config, protocol.runs or 1)
-        label = f"{tracks.seed} to {tracks.seed + tracks.count - 1}"
-    elif (protocol.laps, protocol.start) == (LAPS, "hover") and not protocol.deterministic:
-        published = None if condition.damage else published_row(race)
-    limit = race.vehicle.fitted_speed
-    row = Row(_label(name), laps, label, 1, speeds, limit, published)
-    return row, record
 
 
 def _label(name: str) -> str:
@@ -225,13 +214,12 @@ class Evaluation:
 
         The larger of the lateral and the vertical one.
         """
-        distances = []
+        distances = [np.zeros(0)]
         for flight in self.flights:
-            when = flight.passages[:, 0]
-            gates = [flight.gates[int(index)] for index in flight.passages[:, 1]]
+            when, passed = flight.passages[:, 0], flight.passages[:, 1].astype(int)
             path = [np.interp(when, flight.time, column) for column in flight["position"].T]
-            center = np.array([gate.position for gate in gates], np.float64).reshape(-1, 3)
-            axes = np.array([gate.axes for gate in gates]).reshape(-1, 3, 3)
+            center = np.array([gate.position for gate in flight.gates])[passed]
+            axes = np.array([gate.axes for gate in flight.gates])[passed]
             place = np.einsum("ni,nij->nj", np.stack(path, axis=1) - center, axes)
             distances.append(np.abs(place[:, 1:]).max(axis=1))
         return np.concatenate(distances)
@@ -322,33 +310,25 @@ def joined(evaluations: Sequence[Evaluation]) -> Evaluation:
 
     Policies of one label have their files as labels.
     """
-    labels = [result.row.policy for result in evaluations]
-    rows: list[Row] = []
+    labels = Counter(result.row.policy for result in evaluations)
+    rows = []
     for result in evaluations:
-        file = result.provenance["policy"]["file"]
-        double = labels.count(result.row.policy) > 1
-        rows += [dataclasses.replace(r, policy=file) if double else r for r in result.rows]
+        row, file = result.row, result.provenance["policy"]["file"]
+        policy = row.policy if labels[row.policy] == 1 else file
+        rows += [dataclasses.replace(row, policy=policy) for row in result.rows]
     records = tuple(record for result in evaluations for record in result.records)
     return dataclasses.replace(evaluations[0], rows=tuple(rows), records=records)
 
 
 def tabulate(evaluations: Mapping[str, Evaluation], format: Format = "text") -> str:
     """Evaluations of one race by label as one lap table, with how runs ended early."""
-    if any(result.protocol.seconds is not None for result in evaluations.values()):
-        rows = [
-            dataclasses.replace(result.row, policy="", condition=label)
-            for label, result in evaluations.items()
-        ]
-        return condition_table(rows, "", ("crashed", "ended")).format(format)
-    sampled = [r.row.published for r in evaluations.values() if not r.protocol.deterministic]
-    alike = len(set(sampled)) == 1
-    rows = [
-        dataclasses.replace(
-            result.row,
-            policy=label,
-            condition="",
-            published=result.row.published if alike else None,
-        )
-        for label, result in evaluations.items()
-    ]
-    return lap_table(rows).format(format)
+    results = evaluations.values()
+    sampled = {result.row.published for result in results if not result.protocol.deterministic}
+    rows = []
+    for label, result in evaluations.items():
+        published = result.row.published if len(sampled) == 1 else None
+        row = dataclasses.replace(result.row, policy="", condition=label, published=published)
+        rows.append(row)
+    timed = any(result.protocol.seconds is not None for result in results)
+    table = condition_table(rows, "", ("crashed", "ended")) if timed else lap_table(rows)
+    return table.format(format)

@@ -34,7 +34,9 @@ MOTOR_COMMAND = "motor_command"  # signal of a flight on the plant: commanded ro
 def fly_plants(
     policy: Policy, name: str, race: Config, plant: PlantConfig, protocol: Conditions
 ) -> tuple[Laps, Callable[[], list[Flight]]]:
-    """Flights from hover on drawn plants, and a function that returns the recorded ones.
+    """Flights from hover on drawn plants, and a function that returns those of the first plant.
+
+    They have their true states, and the signal ``MOTOR_COMMAND``.
 
     Each plant has its own seed of batteries, gusts and sensors, the same for every policy.
 
@@ -50,26 +52,32 @@ def fly_plants(
     """
     if protocol.start != "hover" or protocol.laps is None or protocol.tracks:
         raise InputError("plant: flights are of whole laps from hover, allowed: laps, start=hover")
-    lap_count, runs = protocol.laps, (protocol.runs or 1) // protocol.plants
-
-    def fly(drone: PlantConfig, number: int) -> Flights:
+    flown: list[Flights] = []
+    laps = []
+    for number, drone in enumerate(drawn(plant, protocol.plants)):
         plan = plan_race(
             race,
             drone,
             policy,
             name,
-            lap_count=lap_count,
-            runs=runs,
+            lap_count=protocol.laps,
+            runs=(protocol.runs or 1) // protocol.plants,
             recorded=RECORDED,
             deterministic=bool(protocol.deterministic),
         )
-        return fly_plan(plan, protocol.seed + number)
+        flights = fly_plan(plan, protocol.seed + number)
+        laps.append(flights.laps)
+        flown = flown or [flights]
 
-    if protocol.plants == 1:
-        flown = fly(plant, 0)
-        return flown.laps, lambda: flights_of(flown, race, policy)
-    laps = [fly(drone, number).laps for number, drone in enumerate(drawn(plant, protocol.plants))]
-    return concatenate(laps), lambda: flights_of(fly(plant, 0), race, policy)
+    def record() -> list[Flight]:
+        result = []
+        recorded = recorded_flights(flown[0], race.track.gates, model(policy.vehicle))
+        for run, flight in enumerate(recorded):
+            command = Signal(rows(flown[0], flown[0].frames.rpm_command, run), "rpm", MOTORS)
+            result.append(flight.replace(signals=flight.signals | {MOTOR_COMMAND: command}))
+        return result
+
+    return concatenate(laps), record
 
 
 def drawn(plant: PlantConfig, count: int) -> Iterator[PlantConfig]:
@@ -77,17 +85,6 @@ def drawn(plant: PlantConfig, count: int) -> Iterator[PlantConfig]:
     for number in range(count):
         seed = plant.constants.seed + number
         yield plant.replace(constants=plant.constants.replace(seed=seed))
-
-
-def flights_of(flown: Flights, race: Config, policy: Policy) -> list[Flight]:
-    """The recorded flights with their true states, and the commands of the motors."""
-    flights = recorded_flights(flown, race.track.gates, model(policy.vehicle))
-    result = []
-    for run, flight in enumerate(flights):
-        command = Signal(rows(flown, flown.frames.rpm_command, run), "rpm", MOTORS)
-        signals = flight.signals | {MOTOR_COMMAND: command}
-        result.append(dataclasses.replace(flight, signals=signals))
-    return result
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,9 +129,8 @@ def write_logs(
             if not all(np.isfinite(values).all() for values in log.values()):
                 raise InputError(f"{name}: flight {run} is not finite")
         for run, log in enumerate(logs):
-            path = folder / f"{name}_{run}.csv"
+            path, laps = folder / f"{name}_{run}.csv", ended.laps
             write_log(path, paparazzi_columns(log))
-            laps = ended.laps
             result = laps.crashes[run], float(laps.seconds[run]), float(laps.totals[run])
             written.append(WrittenLog(path, len(log["time"]), *result))
     return written

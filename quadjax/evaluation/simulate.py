@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +22,7 @@ from quadjax.race import environment, episode
 from quadjax.race import laps as race
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.episode import draw_start, start_gate, with_memory
-from quadjax.race.laps import Actor, Laps, LapState, Trace
+from quadjax.race.laps import Actor, Laps, LapState
 from quadjax.race.random_track import RandomTracks
 from quadjax.race.track import Track, gate, gate_count
 from quadjax.vehicle.protocol import Motion
@@ -78,28 +77,7 @@ def simulate(
         onboard = race_of(modeled.replace(observation=config.observation))[1]
         params = params.replace(estimator=onboard.estimator)
     if layouts is not None:
-        params = params.replace(track=longest(layouts))
-    fly: Any = functools.partial(_fly, choices, params, ready, layouts, protocol, actor)
-    laps, speeds, _ = fly(config.vehicle.fitted_speed)
-
-    def record() -> list[Flight]:
-        _, _, trace = fly(None, trace=True)
-        time_step = float(params.rules.time_step)
-        return recorded_flights(trace, laps, time_step, config.track.gates, choices.model)
-
-    return laps, speeds, record
-
-
-def _fly(
-    choices: Choices,
-    params: RaceParams,
-    policy: pilot.Pilot,
-    tracks: Track | None,
-    protocol: Conditions,
-    actor: Actor,
-    fitted_speed: float | None,
-    trace: bool = False,
-) -> tuple[Laps, Speeds | None, Trace | None]:
+        params = params.replace(track=_longest(layouts))
     length = race.race_length(params.track, protocol.laps or 1, protocol.gates)
     limit, count = protocol.seconds, MAX_LAPS
     if limit is None:
@@ -107,20 +85,24 @@ def _fly(
     time_step = float(params.rules.time_step)
     steps, last = round(limit / time_step), race.last_gate(params.track, protocol.gates)
     key, noise = jax.random.split(jax.random.key(protocol.seed))
-    states, speeds, recorded = _starts(choices, params, key, tracks, protocol), None, None
-    if protocol.speeds and not trace:
-        drones, above = (race.begin(states, count), noise), fitted_speed or math.inf
-        flown, measured = fly_with_speeds(
-            choices, actor, steps, last, params, policy, drones, above
-        )
+    states, speeds = _starts(choices, params, key, layouts, protocol), None
+    if protocol.speeds:
+        drones, above = (race.begin(states, count), noise), config.vehicle.fitted_speed or math.inf
+        flown, measured = fly_with_speeds(choices, actor, steps, last, params, ready, drones, above)
         speeds = Speeds(*(np.asarray(x, np.float64) for x in measured))
     else:
-        flown, recorded = race.fly_race(
-            choices, actor, count, steps, trace, params, policy, states, noise, last
-        )
+        flights = (params, ready, states, noise, last)
+        flown, _ = race.fly_race(choices, actor, count, steps, False, *flights)
     laps = race.laps_of(choices, flown, time_step, limit)
     gates = (protocol.gates or 0) % gate_count(params.track)
-    return dataclasses.replace(laps, last_gates=gates), speeds, recorded
+    laps = dataclasses.replace(laps, last_gates=gates)
+
+    def record() -> list[Flight]:
+        flights = (params, ready, states, noise, last)
+        _, trace = race.fly_race(choices, actor, count, steps, True, *flights)
+        return recorded_flights(trace, laps, time_step, config.track.gates, choices.model)
+
+    return laps, speeds, record
 
 
 def _starts(
@@ -132,17 +114,21 @@ def _starts(
 ) -> RaceState:
     runs, start = protocol.runs or 1, protocol.start
     if tracks is not None:
-        return jax.vmap(functools.partial(hover_on, choices, params), out_axes=-1)(tracks)
+
+        def hover_on(track: Track) -> RaceState:
+            return episode.hover_start(choices, params.on_track(track)).replace(track=track)
+
+        return jax.vmap(hover_on, out_axes=-1)(tracks)
     if start == "before_gate":
-        begin = jax.jit(starts_before_gate, static_argnums=(0, 3))
-        return begin(choices, params, key, runs)
+        before = jax.vmap(functools.partial(start_before_gate, choices), (None, 0), -1)
+        return jax.jit(before)(params, jax.random.split(key, runs))
     if start == "around":
-        begin = jax.jit(race.starting_states, static_argnums=(0, 3, 4, 5))
-        return begin(choices, params, key, runs, True, True)
+        around = jax.jit(race.starting_states, static_argnums=(0, 3, 4, 5))
+        return around(choices, params, key, runs, True, True)
     return race.starting_states(choices, params, key, runs, start == "hover")
 
 
-def longest(tracks: Track) -> Track:
+def _longest(tracks: Track) -> Track:
     """The longest of several tracks, which are batched along the first axis."""
     count = jax.tree.leaves(tracks)[0].shape[0]
     each = [jax.tree.map(lambda x, i=i: x[i], tracks) for i in range(count)]
@@ -153,19 +139,6 @@ def unseen_tracks(config: Config, count: int) -> RandomTracks:
     """Random tracks with the seeds after those of the training (``randomization.tracks``)."""
     trained = config.randomization.tracks or RandomTracks()
     return trained.replace(seed=trained.seed + trained.count, count=count)
-
-
-def hover_on(choices: Choices, params: RaceParams, track: Track) -> RaceState:
-    """Hover at the last gate of a track."""
-    return episode.hover_start(choices, params.on_track(track)).replace(track=track)
-
-
-def starts_before_gate(
-    choices: Choices, params: RaceParams, key: jax.Array, runs: int
-) -> RaceState:
-    """Starts before the gates, batched along the last axis."""
-    one = functools.partial(start_before_gate, choices, params)
-    return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
 
 
 def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
