@@ -1,11 +1,13 @@
-"""Size of residual models on the states of one nominal E2E flight.
+"""Size of residual models and of plants on the states of one nominal E2E flight.
 
-``python benchmarks/residual_size.py FILE.npz ...`` prints what each residual adds to the nominal
-model along one flight of six laps from hover (policy ``e2e_nominal.npz``, mean action): the force
-along body z per mass in m/s^2 (down is positive) and the moments in N m.
+``python -m benchmarks.residual_size [FILE.npz ...] [--plant NAME ...]`` prints what each residual,
+and the median of 40 drones of each plant, adds to the nominal model along one flight of six laps
+from hover (policy ``e2e_nominal.npz``, mean action): the force along body z per mass in m/s^2 (down
+is positive) and the moments in N m.
 """
 
-import sys
+import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax
@@ -17,7 +19,11 @@ from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.flights import Flight
+from quadjax.plant.config import PlantConfig, load_plant_config
+from quadjax.plant.plant import Physics, build_plant, forces, nominal_vehicle
+from quadjax.vehicle.motor import nominal_force, nominal_moment
 from quadjax.vehicle.residual import read_residual, residual_force_moment
+from quadjax.vehicle.rigid_body import RigidBodyState
 
 
 def nominal_flight() -> Flight:
@@ -28,32 +34,88 @@ def nominal_flight() -> Flight:
     return laps.flights[0]
 
 
-def outputs(path: str, flight: Flight) -> tuple[np.ndarray, np.ndarray]:
+def body_states(flight: Flight) -> list[np.ndarray]:
+    """Propeller speeds, rpm, velocity, m/s, body, and rates, rad/s, of each sample (n, .)."""
+
+    def turned(velocity: jax.Array, euler: jax.Array) -> jax.Array:
+        return world_to_body(attitude(Vec3.of(euler)), Vec3.of(velocity)).array()
+
+    rpm, velocity, euler, rates = (
+        flight[name].astype(np.float32) for name in ("actuators", "velocity", "attitude", "rates")
+    )
+    return [rpm, np.asarray(jax.vmap(turned)(velocity, euler)), rates]
+
+
+def of_residual(path: str, states: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Specific force along body z (n,), m/s^2, and moments (n, 3), N m, of a residual file."""
     residual = read_residual(path)
 
-    def at(rpm: jax.Array, velocity: jax.Array, euler: jax.Array, rates: jax.Array) -> jax.Array:
-        body_velocity = world_to_body(attitude(Vec3.of(euler)), Vec3.of(velocity))
+    def at(rpm: jax.Array, velocity: jax.Array, rates: jax.Array) -> tuple[jax.Array, jax.Array]:
         force, moment = residual_force_moment(
-            residual, Rotors.of(rpm), body_velocity, Vec3.of(rates)
+            residual, Rotors.of(rpm), Vec3.of(velocity), Vec3.of(rates)
         )
-        return jnp.concatenate([force[None], moment.array()])
+        return force, moment.array()
 
-    signals = [flight[name] for name in ("actuators", "velocity", "attitude", "rates")]
-    values = np.asarray(jax.jit(jax.vmap(at))(*(signal.astype(np.float32) for signal in signals)))
-    return values[:, 0], values[:, 1:]
+    force, moment = jax.jit(jax.vmap(at))(*states)
+    return np.asarray(force), np.asarray(moment)
 
 
-def row(path: str, flight: Flight) -> str:
+def of_plant(config: PlantConfig, states: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The same of a plant, high above the ground in still air."""
+    plant, nominal, zero = build_plant(config), nominal_vehicle(config).motor, jnp.zeros(())
+    still = Rotors.same(zero)
+
+    def at(rpm: jax.Array, velocity: jax.Array, rates: jax.Array) -> tuple[jax.Array, jax.Array]:
+        speeds, v, w = Rotors.of(rpm), Vec3.of(velocity), Vec3.of(rates)
+        body = RigidBodyState(
+            position=Vec3(zero, zero, zero - 100.0),
+            velocity=v,
+            euler=Vec3.zero(),
+            rates=w,
+            actuators=speeds,
+            moment_ext=Vec3.zero(),
+            force_ext=Vec3.zero(),
+        )
+        physics = Physics(body, still, Vec3.zero(), Vec3.zero(), jnp.ones(()))
+        force, moment = forces(plant, physics, still, v)
+        model = nominal_force(nominal, speeds, v)
+        return force.z - model.z, (moment - nominal_moment(nominal, speeds, still, v, w)).array()
+
+    force, moment = jax.jit(jax.vmap(at))(*states)
+    return np.asarray(force), np.asarray(moment)
+
+
+def sizes(force: np.ndarray, moment: np.ndarray) -> list[float]:
+    """Mean, RMS and largest force, and RMS moments."""
+    rms = [np.sqrt((force**2).mean()), np.abs(force).max(), *np.sqrt((moment**2).mean(axis=0))]
+    return [force.mean(), *rms]
+
+
+def row(name: str, values: Sequence[float]) -> str:
     """A line of the table."""
-    force, moment = outputs(path, flight)
-    sizes = f"{force.mean():.2f} / {np.sqrt((force**2).mean()):.2f} / {np.abs(force).max():.2f}"
-    moments = ", ".join(f"{x:.4f}" for x in np.sqrt((moment**2).mean(axis=0)))
-    return f"| `{Path(path).name}` | {sizes} | {moments} |"
+    force, moments = (" / ".join(f"{x:.2f}" for x in values[:3])), values[3:]
+    return f"| `{name}` | {force} | {', '.join(f'{x:.4f}' for x in moments)} |"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("files", nargs="*")
+    parser.add_argument("--plant", nargs="+", default=[])
+    arguments = parser.parse_args()
+    states = body_states(nominal_flight())
+    print("| residual | Fz mean / rms / largest, m/s^2 | Mx, My, Mz rms, N m |\n|---|---|---|")
+    for path in arguments.files:
+        print(row(Path(path).name, sizes(*of_residual(path, states))))
+    for name in arguments.plant:
+        config = load_plant_config(name)
+        drones = [
+            sizes(*of_plant(config.replace(constants=config.constants.replace(seed=seed)), states))
+            for seed in range(1, 41)
+        ]
+        for label, quantile in (("10%", 0.1), ("median", 0.5), ("90%", 0.9)):
+            print(row(f"{name}, {label}", np.quantile(drones, quantile, axis=0)))
 
 
 if __name__ == "__main__":
-    states = nominal_flight()
-    print("| residual | Fz mean / rms / largest, m/s^2 | Mx, My, Mz rms, N m |\n|---|---|---|")
-    for name in sys.argv[1:]:
-        print(row(name, states))
+    main()

@@ -13,6 +13,7 @@ from typing import Annotated, Literal, Self
 from quadjax.core.sections import (
     MAX_SEED,
     Field,
+    Fraction,
     NonNegative,
     Positive,
     Section,
@@ -24,6 +25,7 @@ from quadjax.vehicle.battery import BatteryConfig
 
 Half = Annotated[float, Field(ge=0.0, le=0.5)]
 Delay = Annotated[float, Field(ge=0.0, le=0.05)]
+Range = tuple[Fraction, Fraction]  # a number is drawn between the two
 Lever = Annotated[float, Field(ge=-1.0, le=1.0)]
 
 MAX_LATENCY = 60  # samples, of a motion capture pose
@@ -45,6 +47,7 @@ class EffectsConfig(Section):
     gyroscopic: NonNegative = Field(1.0, description="moments of the turning rotors")
     vibration: NonNegative = Field(1.0, description="rotor imbalance at the inertial unit")
     offset: NonNegative = Field(1.0, description="inertial unit off the center of gravity")
+    airframe: NonNegative = Field(1.0, description="deviations of rotors, wakes, axes and balance")
 
 
 @register
@@ -66,6 +69,23 @@ class MotorsConfig(Section):
         0.02, description="fraction of a commanded change from hover that is not reached; assumed"
     )
     rotor_spread: Half = Field(0.01, description="largest relative deviation of one rotor's effect")
+
+
+class AirframeConfig(Section):
+    """Ranges from which the airframe of each drone is drawn, by constants.seed; none by default."""
+
+    speed_loss: Range = Field(
+        (0.0, 0.0), description="fraction of the thrust that rotors lose at rpm_max"
+    )
+    rotor_spread: Half = Field(0.0, description="largest deviation of one rotor's thrust")
+    lift_loss: Range = Field((0.0, 0.0), description="fraction of k_h that is missing")
+    wake_loss: Range = Field(
+        (0.0, 0.0), description="fraction of its thrust that a rotor loses behind the others"
+    )
+    tilt_deg: float = Field(0.0, ge=0.0, le=10.0, description="largest tilt of a rotor's axis")
+    offset: tuple[float, float] = Field(
+        (0.0, 0.0), description="m, largest distance of the center of gravity along x and y"
+    )
 
 
 @register
@@ -212,6 +232,8 @@ class PlantConfig(Section):
     effects: EffectsConfig = EffectsConfig()
     rotors: RotorConfig = RotorConfig()
     motors: MotorsConfig = MotorsConfig()
+    airframe: AirframeConfig = AirframeConfig()
+    residual: str | None = Field(None, description="residual file, in addition to the effects")
     flex: FlexConfig = FlexConfig()
     imu: ImuConfig = ImuConfig()
     battery: BatteryConfig = BatteryConfig()

@@ -62,12 +62,16 @@ def ground_gain(
     """
     height = jnp.maximum(altitude + r.height, _NEAREST * r.radius)
     ratio = r.radius / (4.0 * height)
-    induced_square = mass * c.g / (8.0 * AIR_DENSITY * jnp.pi * r.radius * r.radius)
     square = air_velocity.x * air_velocity.x + air_velocity.y * air_velocity.y
-    near = GROUND_DISCS * ratio * ratio / (1.0 + square / induced_square)
+    near = GROUND_DISCS * ratio * ratio / (1.0 + square / induced_square(r, c, mass))
     near = jnp.minimum(near, 0.5)
     s = rpm * rpm
     return -c.k_w * (s.w1 + s.w2 + s.w3 + s.w4) * (near / (1.0 - near))
+
+
+def induced_square(r: RotorConfig, c: MotorConstants, mass: jax.Array) -> jax.Array:
+    """Square of the induced velocity of the hover (), m^2/s^2; mass in kg."""
+    return mass * c.g / (8.0 * AIR_DENSITY * jnp.pi * r.radius * r.radius)
 
 
 def flapping_moment(

@@ -21,6 +21,7 @@ from quadjax.core.materialize import Caller, call_directly
 from quadjax.core.traced import as_leaves
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts
+from quadjax.plant.airframe import Airframe, airframe_force_moment, draw_airframe
 from quadjax.plant.config import (
     EffectsConfig,
     FlexConfig,
@@ -37,7 +38,7 @@ from quadjax.vehicle.battery import BatteryParams, battery_params, charge_rate, 
 from quadjax.vehicle.constants import constant_names
 from quadjax.vehicle.motor import MotorConstants, hover_rpm
 from quadjax.vehicle.protocol import VehicleParams
-from quadjax.vehicle.residual import Residual
+from quadjax.vehicle.residual import read_residual
 from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
 
@@ -50,6 +51,7 @@ class PlantParams(struct.PyTreeNode):
     vehicle: VehicleParams  # the drone's own constants
     rotor_factor: Rotors  # on each rotor's speed in force and moment
     effects: EffectsConfig  # their strengths
+    airframe: Airframe | None  # its deviations; None: as the model
     rotors: RotorConfig
     motors: MotorsConfig
     flex: FlexConfig
@@ -94,16 +96,13 @@ def nominal_vehicle(config: PlantConfig) -> VehicleFile:
     return read_vehicle(config.vehicle)
 
 
-def build_plant(config: PlantConfig, residual: Residual | None = None) -> PlantParams:
+def build_plant(config: PlantConfig) -> PlantParams:
     """The plant's numbers.
 
-    Args:
-        config: of the plant.
-        residual: networks added to force and moment.
-
     Raises:
-        InputError: a vehicle file that cannot be read.
+        InputError: a vehicle or residual file that cannot be read.
     """
+    residual = None if config.residual is None else read_residual(config.residual)
     nominal = nominal_vehicle(config).motor
     factors, rotor_factors = drawn_factors(config)
     own = {name: jnp.float32(getattr(nominal, name) * factor) for name, factor in factors.items()}
@@ -113,6 +112,7 @@ def build_plant(config: PlantConfig, residual: Residual | None = None) -> PlantP
         vehicle=VehicleParams(MotorConstants(**own, **fixed), residual),
         rotor_factor=Rotors(*(jnp.float32(x) for x in rotor_factors)),
         effects=as_leaves(effects),
+        airframe=draw_airframe(config.airframe, config.constants.seed),
         rotors=as_leaves(config.rotors),
         motors=as_leaves(config.motors),
         flex=as_leaves(config.flex),
@@ -178,7 +178,13 @@ def forces(
     flapping = effects.flapping_moment(params.rotors, c, mass, rpm, air_velocity, body.rates)
     turning = effects.gyroscopic_moment(c, rpm, body.rates)
     force = force.replace(z=force.z + (lost * on.inflow + lift * on.ground))
-    return force, moment + flapping * on.flapping + turning * on.gyroscopic
+    moment = moment + flapping * on.flapping + turning * on.gyroscopic
+    if params.airframe is None:
+        return force, moment
+    more_force, more_moment = airframe_force_moment(
+        params.airframe, params.rotors, c, mass, rpm, air_velocity
+    )
+    return force + more_force * on.airframe, moment + more_moment * on.airframe
 
 
 def derivative(

@@ -1,0 +1,103 @@
+"""An airframe that deviates from the model: its rotors, their axes, their wakes and its balance.
+
+A config gives the ranges of the deviations, from which each drone is drawn. Positions of the rotors
+follow from the constants: the arms are ``k_q / (m k_w)`` along body x, ``k_p / (m k_w)`` along y.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.plant.config import AirframeConfig, RotorConfig
+from quadjax.plant.effects import induced_square
+from quadjax.vehicle.motor import MotorConstants
+
+FRONT, LEFT = (1.0, 1.0, -1.0, -1.0), (1.0, -1.0, -1.0, 1.0)  # side of each rotor along x and -y
+
+
+class Airframe(struct.PyTreeNode):
+    """Deviations of one drone."""
+
+    speed_loss: jax.Array  # fraction of their thrust that rotors lack at rpm_max
+    rotor_loss: Rotors  # fraction of its thrust that a rotor lacks at any speed
+    lift_loss: jax.Array  # fraction of the model's translational lift, k_h, that is missing
+    wake_loss: jax.Array  # fraction of its thrust that a rotor lacks in the wake of others
+    tilt_x: Rotors  # rad, of a rotor's thrust towards body x
+    tilt_y: Rotors
+    offset_x: jax.Array  # m, center of gravity from the middle of the rotors
+    offset_y: jax.Array
+
+
+def draw_airframe(config: AirframeConfig, seed: int) -> Airframe | None:
+    """The airframe of a seed; None if the ranges have no deviation."""
+    if config == AirframeConfig():
+        return None
+    random = np.random.default_rng((seed, 1))  # not the stream of the constants
+    speed_loss = random.uniform(*config.speed_loss)
+    rotors = random.uniform(-1.0, 1.0, 4) * config.rotor_spread
+    tilt = np.deg2rad(config.tilt_deg) * random.uniform(-1.0, 1.0, (2, 4))
+    lift_loss, wake_loss = random.uniform(*config.lift_loss), random.uniform(*config.wake_loss)
+    offset = np.array(config.offset) * random.uniform(-1.0, 1.0, 2)
+    return Airframe(
+        speed_loss=jnp.float32(speed_loss),
+        rotor_loss=Rotors(*map(jnp.float32, rotors)),
+        lift_loss=jnp.float32(lift_loss),
+        wake_loss=jnp.float32(wake_loss),
+        tilt_x=Rotors(*map(jnp.float32, tilt[0])),
+        tilt_y=Rotors(*map(jnp.float32, tilt[1])),
+        offset_x=jnp.float32(offset[0]),
+        offset_y=jnp.float32(offset[1]),
+    )
+
+
+def airframe_force_moment(
+    airframe: Airframe,
+    r: RotorConfig,
+    c: MotorConstants,
+    mass: jax.Array,
+    rpm: Rotors,
+    air_velocity: Vec3,
+) -> tuple[Vec3, Vec3]:
+    """What the deviations add to the nominal specific force, m/s^2, and moment, N m, body frame.
+
+    A rotor lacks a fraction of the thrust ``k_w w^2`` of the model: a constant one; one that grows
+    with the square of its speed, as of blades that bend; and one in the wake of the others, from
+    none for the foremost to all for the rearmost rotor. The wakes reach the rotors behind as far
+    as the drone's speed sweeps them back, ``V^2 / (V^2 + v_i^2)`` with the induced velocity of the
+    hover (Leishman, "Principles of helicopter aerodynamics", 2006, section 2.14). Rotors whose
+    axes are not parallel pull to the sides and turn the drone; with a center of gravity off the
+    middle, the arms of some rotors are shorter.
+
+    Args:
+        airframe: of the drone.
+        r: of the rotors.
+        c: of the drone.
+        mass: () kg.
+        rpm: propeller speeds, rpm.
+        air_velocity: m/s, body.
+    """
+    vx, vy = air_velocity.x, air_velocity.y
+    square = vx * vx + vy * vy
+    speed = jnp.sqrt(square + 1.0e-6)
+    swept = square / (square + induced_square(r, c, mass))
+    force, moment = Vec3.zero(), Vec3.zero()
+    arm_x, arm_y = c.k_q / (mass * c.k_w), c.k_p / (mass * c.k_w)
+    reach = jnp.sqrt(arm_x * arm_x + arm_y * arm_y)
+    for i, w in enumerate(rpm.components()):
+        thrust = c.k_w * w * w
+        x, y = FRONT[i] * arm_x, -LEFT[i] * arm_y
+        behind = 0.5 * (1.0 - (x * vx + y * vy) / (reach * speed))  # 0 foremost, 1 rearmost
+        relative = w / c.rpm_max
+        lost = airframe.rotor_loss[i] + airframe.speed_loss * relative * relative
+        lost = lost + airframe.wake_loss * swept * behind
+        pull = Vec3(thrust * airframe.tilt_x[i], thrust * airframe.tilt_y[i], thrust * lost)
+        force = force + pull
+        x, y = x - airframe.offset_x, y - airframe.offset_y
+        moment = moment + Vec3(
+            y * pull.z + airframe.offset_y * thrust,
+            -x * pull.z - airframe.offset_x * thrust,
+            x * pull.y - y * pull.x,
+        )
+    return force.replace(z=force.z + airframe.lift_loss * c.k_h * square), moment * mass
