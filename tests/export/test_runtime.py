@@ -103,7 +103,7 @@ def test_every_kernel_passes_the_self_tests_on_board(name, processor, tmp_path):
 # ---- changes of the C ----------------------------------------------------------------------------
 
 CHANGES = {
-    "shift of 31": ("qj_network.c", "sum >> WORD", "sum >> 31"),
+    "shift of 31": ("qj_network.c", ">sums[row] >> WORD", ">sums[row] >> 31"),
     "no ReLU": ("qj_network.c", "(upper > 0) ? upper : 0", "upper"),
     "output shift": ("qj_network.c", "(int32_t)(sum >> ", "(int32_t)(sum >> 1 + "),
     "NaN not seen": (

@@ -23,7 +23,7 @@
 #endif
 
 /* Tables are in blocks of four rows; within a block, the four weights of column 0, of column 1 .. */
-enum { ROWS_PER_BLOCK = 4, COLUMNS_PER_TURN = 8 };
+enum { ROWS_PER_BLOCK = 4 };
 
 /* The kernels stay functions of their own: they need all registers, and clang with NEON would take
  * their sums and what follows for vectors and emulate products of 64 bits. */
@@ -33,8 +33,17 @@ enum { ROWS_PER_BLOCK = 4, COLUMNS_PER_TURN = 8 };
 #define KERNEL static inline
 #endif
 
-/* Two rows at a time: their sums, their weights and the input are what the registers of a 32-bit ARM
- * hold without spilling. QJ_PORTABLE leaves the assembly out. */
+/* A block of four rows. The assembly knows the places of these. */
+typedef struct {
+  const int32_t *weight;
+  const int32_t *end; /* of the inputs */
+  const int32_t *x;
+  const int32_t *bias;
+  int64_t *sums;
+  int32_t *y; /* of each sum the upper word, or zero if it is negative */
+} block;
+
+/* QJ_PORTABLE leaves the assembly out. */
 #if defined(__arm__) && defined(__GNUC__) && defined(__ARM_ARCH) && !defined(QJ_PORTABLE)
 #if (__ARM_ARCH >= 7) && (defined(__ARM_ARCH_ISA_ARM) || (__ARM_ARCH_ISA_THUMB >= 2))
 #define HAS_SMLAL 1
@@ -42,53 +51,79 @@ enum { ROWS_PER_BLOCK = 4, COLUMNS_PER_TURN = 8 };
 #endif
 
 #ifdef HAS_SMLAL
-/* Every ARMv7 has LDRD and SMLAL, Cortex-M included; compilers use the first one rarely. Two
- * columns: weights at offset a and b, inputs in r8 and r9. */
+/* Every ARMv7 has LDRD and SMLAL, Cortex-M included; compilers use the first one rarely. Two rows at
+ * a time: their sums, their weights and the inputs are what the registers of a 32-bit ARM hold. The
+ * weights are at r6, the inputs at lr, their end in the register that is no frame pointer, and the
+ * block is on the stack. */
+#ifdef __thumb__
+#define END "r11"
+#else
+#define END "r7"
+#endif
+#define SUMS "{r8, r9, r10, r12}\n\t"
 #define TWO_COLUMNS(first, second) \
-  "ldrd r8, r9, [%[x]], #8\n\t" first "ldrd r4, r5, [%[w], #" second "]\n\t" \
-  "smlal %Q[a], %R[a], r2, r8\n\tsmlal %Q[b], %R[b], r3, r8\n\t" \
-  "smlal %Q[a], %R[a], r4, r9\n\tsmlal %Q[b], %R[b], r5, r9\n\t"
-#define WEIGHTS(offset) "ldrd r2, r3, [%[w], #" offset "]\n\t"
+  "ldrd r4, r5, [lr], #8\n\t" first "ldrd r2, r3, [r6, #" second "]\n\t" \
+  "smlal r8, r9, r0, r4\n\tsmlal r10, r12, r1, r4\n\t" \
+  "smlal r8, r9, r2, r5\n\tsmlal r10, r12, r3, r5\n\t"
+#define WEIGHTS(offset) "ldrd r0, r1, [r6, #" offset "]\n\t"
+#define TWO_ROWS(label) \
+  label ":\n\t" TWO_COLUMNS("ldrd r0, r1, [r6], #128\n\t", "-112") \
+  TWO_COLUMNS(WEIGHTS("-96"), "-80") TWO_COLUMNS(WEIGHTS("-64"), "-48") \
+  TWO_COLUMNS(WEIGHTS("-32"), "-16") "cmp lr, " END "\n\tbne " label "b\n\t"
+#define UPPER_WORDS "bic r0, r9, r9, asr #31\n\tbic r1, r12, r12, asr #31\n\t"
 
-static inline void sums_of_two(const int32_t *weight, const int32_t *bias, const int32_t *x,
-                               uint32_t columns, int64_t sums[2]) {
-  int64_t sum_0 = qj_long(bias);
-  int64_t sum_1 = qj_long(bias + 2);
-  const int32_t *const end = x + columns;
-  __asm__("1:\n\t" TWO_COLUMNS("ldrd r2, r3, [%[w]], #128\n\t", "-112")
-          TWO_COLUMNS(WEIGHTS("-96"), "-80")
-          TWO_COLUMNS(WEIGHTS("-64"), "-48")
-          TWO_COLUMNS(WEIGHTS("-32"), "-16")
-          "cmp %[x], %[end]\n\tbne 1b"
-          : [a] "+r"(sum_0), [b] "+r"(sum_1), [w] "+r"(weight), [x] "+r"(x)
-          : [end] "r"(end)
-          : "r2", "r3", "r4", "r5", "r8", "r9", "cc", "memory");
-  sums[0] = sum_0;
-  sums[1] = sum_1;
+static inline void block_sums(const block *of) {
+  register const block *r0 __asm__("r0") = of;
+  __asm__ volatile(
+      "push {r0}\n\tldm r0, {r6, " END ", lr}\n\tldr r0, [r0, #12]\n\tldm r0, " SUMS
+      TWO_ROWS("1")
+      "ldr r5, [sp]\n\tldm r5, {r0, r1, r2, r3, r4, r5}\n\tstm r4, " SUMS
+      "add r6, r0, #8\n\tmov lr, r2\n\t" UPPER_WORDS "strd r0, r1, [r5]\n\t"
+      "add r3, r3, #16\n\tldm r3, " SUMS
+      TWO_ROWS("2")
+      "pop {r0}\n\tldrd r4, r5, [r0, #16]\n\tadd r4, r4, #16\n\tstm r4, " SUMS
+      UPPER_WORDS "strd r0, r1, [r5, #8]"
+      : "+r"(r0)
+      :
+      : "r1", "r2", "r3", "r4", "r5", "r6", END, "r8", "r9", "r10", "r12", "lr", "cc", "memory");
 }
 #else
-static inline void sums_of_two(const int32_t *restrict weight, const int32_t *restrict bias,
-                               const int32_t *restrict x, uint32_t columns, int64_t sums[2]) {
-  int64_t sum_0 = qj_long(bias);
-  int64_t sum_1 = qj_long(bias + 2);
-  for (const int32_t *const end = x + columns; x != end; x += COLUMNS_PER_TURN) {
-    for (uint32_t column = 0U; column < (uint32_t)COLUMNS_PER_TURN; ++column) {
-      const int64_t value = x[column];
-      sum_0 += weight[0] * value;
-      sum_1 += weight[1] * value;
-      weight += ROWS_PER_BLOCK;
-    }
+static inline void block_sums(const block *of) {
+  const int32_t *weight = of->weight;
+  for (uint32_t row = 0U; row < (uint32_t)ROWS_PER_BLOCK; ++row) {
+    of->sums[row] = qj_long(of->bias + 2U * row);
   }
-  sums[0] = sum_0;
-  sums[1] = sum_1;
+  for (const int32_t *x = of->x; x != of->end; ++x) {
+    for (uint32_t row = 0U; row < (uint32_t)ROWS_PER_BLOCK; ++row) {
+      of->sums[row] += (int64_t)weight[row] * *x;
+    }
+    weight += ROWS_PER_BLOCK;
+  }
+  for (uint32_t row = 0U; row < (uint32_t)ROWS_PER_BLOCK; ++row) {
+    const int32_t upper = (int32_t)(of->sums[row] >> WORD);
+    of->y[row] = (upper > 0) ? upper : 0;
+  }
 }
 #endif
 
-KERNEL void sums_scalar(const int32_t *restrict weight, const int32_t *restrict bias,
-                        const int32_t *restrict x, uint32_t columns,
-                        int64_t sums[ROWS_PER_BLOCK]) {
-  sums_of_two(weight, bias, x, columns, sums);
-  sums_of_two(weight + 2, bias + 4, x, columns, sums + 2);
+static void digest_sums(uint32_t *trace, const int64_t *sums, uint32_t rows) {
+  for (uint32_t row = 0U; (row < rows) && (row < ROWS_PER_BLOCK); ++row) {
+    *trace = qj_digest_long(*trace, sums[row]);
+  }
+}
+
+KERNEL void layer_scalar(const qj_layer *layer, const int32_t *x, int32_t *y,
+                         int64_t sums[ROWS_PER_BLOCK], uint32_t *trace) {
+  block of = {layer->weights, x + layer->padded_columns, x, layer->bias, sums, y};
+  for (uint32_t row = 0U; row < layer->padded_rows; row += ROWS_PER_BLOCK) {
+    block_sums(&of);
+    if ((trace != 0) && (row < layer->rows)) {
+      digest_sums(trace, sums, layer->rows - row);
+    }
+    of.weight += ROWS_PER_BLOCK * layer->padded_columns;
+    of.bias += 2 * ROWS_PER_BLOCK;
+    of.y += ROWS_PER_BLOCK;
+  }
 }
 
 #if QJ_HAS_NEON
@@ -108,87 +143,61 @@ static inline int64x2_t two_longs(const int32_t *words) {
 
 /* One register per row: its lanes sum even and odd columns apart, and the four rows are four
  * independent chains. vld4 takes four columns of the block and hands them over row by row. */
-KERNEL void sums_neon(const int32_t *restrict weight, const int32_t *restrict bias,
-                      const int32_t *restrict x, uint32_t columns, int64_t sums[ROWS_PER_BLOCK]) {
-  int64x2_t sum_0 = vdupq_n_s64(0);
-  int64x2_t sum_1 = vdupq_n_s64(0);
-  int64x2_t sum_2 = vdupq_n_s64(0);
-  int64x2_t sum_3 = vdupq_n_s64(0);
-  for (const int32_t *const end = x + columns; x != end; x += 4) {
-    const int32x4x4_t row = vld4q_s32(weight);
-    const int32x4_t value = vld1q_s32(x);
-    sum_0 = vmlal_s32(sum_0, vget_low_s32(row.val[0]), vget_low_s32(value));
-    sum_1 = vmlal_s32(sum_1, vget_low_s32(row.val[1]), vget_low_s32(value));
-    sum_2 = vmlal_s32(sum_2, vget_low_s32(row.val[2]), vget_low_s32(value));
-    sum_3 = vmlal_s32(sum_3, vget_low_s32(row.val[3]), vget_low_s32(value));
-    sum_0 = vmlal_s32(sum_0, vget_high_s32(row.val[0]), vget_high_s32(value));
-    sum_1 = vmlal_s32(sum_1, vget_high_s32(row.val[1]), vget_high_s32(value));
-    sum_2 = vmlal_s32(sum_2, vget_high_s32(row.val[2]), vget_high_s32(value));
-    sum_3 = vmlal_s32(sum_3, vget_high_s32(row.val[3]), vget_high_s32(value));
-    weight += 4 * ROWS_PER_BLOCK;
+KERNEL void layer_neon(const qj_layer *layer, const int32_t *restrict x, int32_t *restrict y,
+                       int64_t sums[ROWS_PER_BLOCK], uint32_t *trace) {
+  const int32_t *weight = layer->weights;
+  const int32_t *bias = layer->bias;
+  const int32_t *const end = x + layer->padded_columns;
+  for (uint32_t row = 0U; row < layer->padded_rows; row += ROWS_PER_BLOCK) {
+    int64x2_t sum_0 = vdupq_n_s64(0);
+    int64x2_t sum_1 = sum_0;
+    int64x2_t sum_2 = sum_0;
+    int64x2_t sum_3 = sum_0;
+    for (const int32_t *at = x; at != end; at += 4) {
+      const int32x4x4_t rows = vld4q_s32(weight);
+      const int32x4_t value = vld1q_s32(at);
+      sum_0 = vmlal_s32(sum_0, vget_low_s32(rows.val[0]), vget_low_s32(value));
+      sum_1 = vmlal_s32(sum_1, vget_low_s32(rows.val[1]), vget_low_s32(value));
+      sum_2 = vmlal_s32(sum_2, vget_low_s32(rows.val[2]), vget_low_s32(value));
+      sum_3 = vmlal_s32(sum_3, vget_low_s32(rows.val[3]), vget_low_s32(value));
+      sum_0 = vmlal_s32(sum_0, vget_high_s32(rows.val[0]), vget_high_s32(value));
+      sum_1 = vmlal_s32(sum_1, vget_high_s32(rows.val[1]), vget_high_s32(value));
+      sum_2 = vmlal_s32(sum_2, vget_high_s32(rows.val[2]), vget_high_s32(value));
+      sum_3 = vmlal_s32(sum_3, vget_high_s32(rows.val[3]), vget_high_s32(value));
+      weight += 4 * ROWS_PER_BLOCK;
+    }
+    const int64x2_t first = vaddq_s64(two_longs(bias), lane_sums(sum_0, sum_1));
+    const int64x2_t second = vaddq_s64(two_longs(bias + 4), lane_sums(sum_2, sum_3));
+    const int32x4_t upper = vcombine_s32(vshrn_n_s64(first, WORD), vshrn_n_s64(second, WORD));
+    vst1q_s32(y + row, vmaxq_s32(upper, vdupq_n_s32(0)));
+    vst1q_s64(sums, first);
+    vst1q_s64(sums + 2, second);
+    if ((trace != 0) && (row < layer->rows)) {
+      digest_sums(trace, sums, layer->rows - row);
+    }
+    bias += 2 * ROWS_PER_BLOCK;
   }
-  vst1q_s64(sums, vaddq_s64(two_longs(bias), lane_sums(sum_0, sum_1)));
-  vst1q_s64(sums + 2, vaddq_s64(two_longs(bias + 4), lane_sums(sum_2, sum_3)));
 }
 #if NEON_NEEDS_TARGET
 #pragma GCC pop_options
 #endif
 #endif
 
-static inline void block_sums(qj_kernel kernel, const int32_t *weight, const int32_t *bias,
-                              const int32_t *x, uint32_t columns, int64_t sums[ROWS_PER_BLOCK]) {
-#if QJ_HAS_NEON
-  if (kernel == QJ_NEON) {
-    sums_neon(weight, bias, x, columns, sums);
-    return;
-  }
-#else
-  (void)kernel;
-#endif
-  sums_scalar(weight, bias, x, columns, sums);
-}
-
-static void digest_sums(uint32_t *trace, const int64_t *sums, uint32_t rows) {
-  for (uint32_t row = 0U; (row < rows) && (row < ROWS_PER_BLOCK); ++row) {
-    *trace = qj_digest_long(*trace, sums[row]);
-  }
-}
-
-/* ReLU, rounding and requantization in one: the upper word, or zero if it is negative. */
-static inline int32_t relu_upper_word(int64_t sum) {
-  const int32_t upper = (int32_t)(sum >> WORD);
-  return (upper > 0) ? upper : 0;
-}
-
-static void hidden_layer(qj_kernel kernel, const qj_layer *layer, const int32_t *x, int32_t *y,
-                         uint32_t *trace) {
-  const uint32_t columns = layer->padded_columns;
-  const uint32_t rows = layer->padded_rows;
-  const int32_t *weight = layer->weights;
-  const int32_t *bias = layer->bias;
-  for (uint32_t row = 0U; row < rows; row += ROWS_PER_BLOCK) {
-    int64_t sums[ROWS_PER_BLOCK];
-    block_sums(kernel, weight, bias, x, columns, sums);
-    y[row] = relu_upper_word(sums[0]);
-    y[row + 1U] = relu_upper_word(sums[1]);
-    y[row + 2U] = relu_upper_word(sums[2]);
-    y[row + 3U] = relu_upper_word(sums[3]);
-    if ((trace != 0) && (row < layer->rows)) {
-      digest_sums(trace, sums, layer->rows - row);
-    }
-    weight += ROWS_PER_BLOCK * columns;
-    bias += 2 * ROWS_PER_BLOCK;
-  }
-}
-
 void qj_run_layers(const qj_policy *policy, const qj_layer *layer, uint32_t count,
                    int32_t buffer[2][QJ_MAX_WIDTH], int64_t sums[QJ_COMMANDS], uint32_t *trace) {
-  const uint32_t last = count - 1U;
-  for (uint32_t i = 0U; i < last; ++i) {
-    hidden_layer(policy->kernel, &layer[i], buffer[i & 1U], buffer[(i + 1U) & 1U], trace);
+  for (uint32_t i = 0U; i < count; ++i) {
+    const int32_t *const x = buffer[i & 1U];
+    int32_t *const y = buffer[(i + 1U) & 1U];
+#if QJ_HAS_NEON
+    if (policy->kernel == QJ_NEON) {
+      layer_neon(&layer[i], x, y, sums, trace);
+      continue;
+    }
+#else
+    (void)policy;
+#endif
+    layer_scalar(&layer[i], x, y, sums, trace);
   }
-  block_sums(policy->kernel, layer[last].weights, layer[last].bias, buffer[last & 1U],
-             layer[last].padded_columns, sums);
 }
 
 qj_status qj_quantize(const qj_policy *policy, const float *x, int32_t *q) {
@@ -224,9 +233,6 @@ void qj_forward(const qj_policy *policy, const int32_t *q, int32_t command[QJ_CO
     *trace = QJ_DIGEST_START;
   }
   qj_run_layers(policy, policy->layer, policy->layers, buffer, sums, trace);
-  if (trace != 0) {
-    digest_sums(trace, sums, QJ_COMMANDS);
-  }
   /* Clamped in the sum's own units: a limit is below 2^31 and the shift at most 32. */
   const int64_t unit = INT64_C(1) << policy->output_shift;
   for (uint32_t i = 0U; i < QJ_COMMANDS; ++i) {

@@ -1,0 +1,63 @@
+"""Instructions, stack and flash of exported policies on emulated processors.
+
+    python benchmarks/instructions.py FILE.qjp ...
+
+A row for each processor, kernel and compiler that is installed (the extra ``verify``, and GCC for
+ARM). An inference goes from floats to commands; a step of the pilot also has the gates and the
+observation. Flash is the code; the words come on top. docs/design/fixed_point.md has the table.
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.core.markdown import table
+from quadjax.export.read import unpack
+from quadjax.export.render import sizes_header
+from quadjax.export.targets import TARGETS
+from quadjax.export.verify.build import BUILDS, OnBoard, Sources, vehicles
+from quadjax.export.verify.result import Skipped
+
+HEAD = ["policy", "build", "inference", "step", "stack", "loading", "flash"]
+
+
+def rows_of(path: Path) -> list[list[str]]:
+    """Rows of the table for a policy."""
+    words = path.read_bytes()
+    policy, found = unpack(words), []
+    wide = "-".join(str(x) for x in (policy.network.inputs, *map(len, biases(policy))))
+    row = np.full(policy.network.inputs, 0.3, np.float32)
+    vehicle = vehicles(policy, np.zeros((1, policy.race.state_size), np.float32))
+    for processor, builds in BUILDS.items():
+        target = next(t for t in TARGETS.values() if t.processor == processor)
+        for build in builds:
+            with tempfile.TemporaryDirectory() as name:
+                sources = Sources.write(target, None, Path(name), policy)
+                (sources.include / "qj_sizes.h").write_text(sizes_header(policy))
+                try:
+                    board = OnBoard(sources, build, words, Path(name))
+                except Skipped as reason:
+                    print(f"{processor}, {build.label}: {reason}", file=sys.stderr)
+                    continue
+                inference, stack = board.count("infer", row)
+                step, more = board.count("step", vehicle)
+                numbers = (inference, step, max(stack, more), board.loading()[0], board.read_only)
+            label = f"{processor}, {build.label}"
+            found.append([wide, label, *(f"{number:,}" for number in numbers)])
+    return found
+
+
+def biases(policy):
+    """Of the layers of a policy's network."""
+    return [layer.bias for layer in policy.network.layers]
+
+
+def main() -> None:
+    """Print the table."""
+    print(table([HEAD, *(row for name in sys.argv[1:] for row in rows_of(Path(name)))]))
+
+
+if __name__ == "__main__":
+    main()
