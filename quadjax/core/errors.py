@@ -10,23 +10,16 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from quadjax.core.secrets import redact
-
 INTERRUPTED = 130  # exit status after Ctrl-C
 BAD_INPUT = 2  # exit status after bad input and after system errors
 MAX_LINE = 1000  # characters of a message that a command prints
 DEBUG = "QUADJAX_DEBUG"  # environment variable: if set, a command prints the traceback too
 USER_ERRORS = (Exception, SystemExit)  # what a user's own code may raise, apart from Ctrl-C
-OPTIONS = {"config=CONFIG": "--race CONFIG"}  # of the command line, by the argument of a function
 USER_FILES: set[str] = set()  # of a user's modules that ``core.imports.load_object`` has imported
 
 
 class InputError(ValueError):
     """Bad input: one line that names the file, key, row or value and what is allowed."""
-
-    def __init__(self, message: str) -> None:
-        """The message, without the passwords of URLs and of ``password=...``."""
-        super().__init__(redact(message))
 
 
 def short(value: object, limit: int = 60, text: Callable[[object], str] = repr) -> str:
@@ -119,11 +112,9 @@ def user_error(error: BaseException) -> str:
 
 def as_options(text: str) -> str:
     """A message of a function with its arguments as the options of the command line."""
-    return re.sub(
-        r"\b(config=CONFIG|(allow_\w+|overwrite|resume)=True)",
-        lambda word: OPTIONS.get(word[1]) or f"--{word[2].replace('_', '-')}",
-        text,
-    )
+    text = text.replace("config=CONFIG", "--race CONFIG")
+    names = r"\b(allow_\w+|overwrite|resume)=True"
+    return re.sub(names, lambda word: f"--{word[1].replace('_', '-')}", text)
 
 
 def error_line(error: BaseException) -> str | None:

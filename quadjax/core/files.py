@@ -88,8 +88,8 @@ def read_json(path: Path | str) -> dict[str, Any]:
 
 
 def _parse_json(text: str, label: str) -> dict[str, Any]:
-    """The object of a JSON text; an integer of more than 18 digits is a float, perhaps infinite."""
     try:
+        # An integer of more than 18 digits is a float, perhaps infinite.
         value = json.loads(text, parse_int=lambda x: (int if len(x) < 19 else float)(x))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{label} ({error})") from error
@@ -181,12 +181,9 @@ def read_npz(
 
 def _read_entry(path: Path | str, archive: zipfile.ZipFile, name: str) -> np.ndarray:
     """One array of an ``.npz`` file, after a look at the size in its header."""
+    headers = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}
     with archive.open(f"{name}.npy") as stream:
-        version = np.lib.format.read_magic(stream)
-        read = np.lib.format.read_array_header_1_0
-        if version != (1, 0):
-            read = np.lib.format.read_array_header_2_0
-        shape, _, dtype = read(stream)
+        shape, _, dtype = headers[np.lib.format.read_magic(stream)[0]](stream)
     size = math.prod(shape) * dtype.itemsize
     if size > MAX_BYTES:
         raise InputError(f"{path}: {name} has {size:,} bytes, allowed: up to {MAX_BYTES:,}")

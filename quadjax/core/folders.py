@@ -78,7 +78,7 @@ def check_kind(folder: Path | str, kind: str, files: Iterable[str] = ()) -> None
         raise InputError(f"{folder}: is a file, expected a folder")
     present = kind_of(folder)
     if present not in (None, kind):
-        raise InputError(f"{folder} holds {_a(present)}, not {_a(kind)}: choose another name")
+        raise InputError(f"{folder} holds results of {present}, not of {kind}: choose another name")
     names = [path.name for pattern in files for path in sorted(folder.glob(pattern))]
     if present is None and names:
         raise InputError(
@@ -102,10 +102,6 @@ def kind_of(folder: Path | str) -> str | None:
     return kind
 
 
-def _a(kind: str | None) -> str:
-    return "logs" if kind == "logs" else f"{'an' if str(kind)[0] in 'aeiou' else 'a'} {kind}"
-
-
 def remove_files(folder: Path | str, patterns: Iterable[str]) -> None:
     """Remove the files and subfolders that match a pattern; everything else stays."""
     for path in [path for pattern in patterns for path in Path(folder).glob(pattern)]:
@@ -121,11 +117,7 @@ def results(
 ) -> Iterator[Path]:
     """Claim a folder, and yield a temporary one, whose files replace earlier results at the end.
 
-    Args:
-        folder: see ``claim``.
-        kind: see ``claim``.
-        files: patterns of all files that the block writes.
-        overwrite: replace earlier results.
+    The arguments are those of ``claim``; ``overwrite`` replaces earlier results, too.
 
     Raises:
         InputError: also where there are earlier results, before the block.
@@ -133,7 +125,7 @@ def results(
     with claim(folder, kind, files, overwrite):
         if not overwrite and any(any(Path(folder).glob(pattern)) for pattern in files):
             either = "replace it (overwrite=True) or choose another name"
-            raise InputError(f"{folder} holds {_a(kind)} already: {either}")
+            raise InputError(f"{folder} holds results of {kind} already: {either}")
         with replacement(folder, files) as new:
             yield new
 

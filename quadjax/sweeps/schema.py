@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
-from quadjax.core.secrets import DATABASE
 from quadjax.core.sections import Field, FolderName, Positive, Section, model_validator
+from quadjax.sweeps.secrets import DATABASE
 
 ENTRIES = ("choices", "range", "log", "step", "points")  # of a key of the search space
 MAX_TRIALS = 10_000

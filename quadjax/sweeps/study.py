@@ -15,7 +15,7 @@ import optuna
 from optuna.storages.journal import JournalFileBackend
 
 from quadjax.core.errors import InputError
-from quadjax.core.secrets import DATABASE, hide
+from quadjax.sweeps.secrets import DATABASE, hide
 from quadjax.sweeps.sweep import Sweep
 
 JOURNAL, DRIVER = "study.journal", "postgresql+psycopg://"

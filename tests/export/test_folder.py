@@ -388,7 +388,7 @@ def test_a_residual_that_the_policy_names_may_not_be_left_out(tmp_path):
 def test_a_folder_of_another_kind_is_refused(tmp_path):
     (tmp_path / ".quadjax.json").write_text('{"kind": "training"}')
     for use in (read_folder, lambda folder: export_c(made_policy(8), folder)):
-        with pytest.raises(InputError, match="holds a training"):
+        with pytest.raises(InputError, match="holds results of training"):
             use(tmp_path)
 
 

@@ -72,7 +72,7 @@ def test_a_folder_of_a_training_is_refused(folder, capsys):
         pass
     place = ["--output", folder / "runs", "--name", "training"]
     assert run("fit", CONFIG, f"logs.files=[{folder}/*.csv]", *place) == 2
-    assert "holds a training, not a fit" in capsys.readouterr().err
+    assert "holds results of training, not of fit" in capsys.readouterr().err
 
 
 def test_an_earlier_fit_is_replaced_only_on_request(folder, tmp_path, monkeypatch, capsys):

@@ -82,7 +82,10 @@ def test_of_two_commands_in_one_folder_the_second_is_refused(tmp_path, capsys, k
     (tmp_path / "fit.yaml").write_text(f"logs: {{files: [{tmp_path}/log.csv]}}\n")
     command = [str(word).format(tmp_path / "fit.yaml") for word in COMMANDS[kind]]
     output = tmp_path / "one" if kind == "export" else tmp_path
-    for other, says in ((kind, "in use by another process"), ("notes", "holds a notes, not a")):
+    for other, says in (
+        (kind, "in use by another process"),
+        ("notes", "holds results of notes, not of"),
+    ):
         with claim(tmp_path / "one", other):
             (tmp_path / "one" / "notes.txt").write_text("mine")
             assert run(*command, output) == 2
