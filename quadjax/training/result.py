@@ -1,5 +1,6 @@
 """The result of a training run: its policy, its metrics and its folder; the files of these."""
 
+import csv
 import dataclasses
 import math
 import sys
@@ -7,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import psutil
 
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
@@ -106,16 +106,12 @@ def is_finished(folder: Path) -> bool:
 def write_summary(
     config: Config, folder: Path, position: "Position", devices: int, finished: bool
 ) -> None:
-    """Write ``summary.json``.
-
-    Args:
-        config: of the run.
-        folder: of the run.
-        position: of the training.
-        devices: number of them.
-        finished: whether all steps were trained.
-    """
+    """Write ``summary.json`` of a run at a position, ``finished`` if all steps were trained."""
     rows = saved_rows(folder / "metrics.csv")
+    last = rows[-1]["lap_total"] if rows else math.inf
+    best, last = (
+        round(x, 3) if math.isfinite(x) else None for x in (position.best_score, float(last))
+    )
     summary = {
         "name": config.name,
         "seed": config.seed,
@@ -123,17 +119,13 @@ def write_summary(
         "steps": position.steps,
         "devices": devices,
         "seconds": round(position.seconds, 1),
-        "best_lap_total": _number(position.best_score),
+        "best_lap_total": best,
         "best_steps": position.best_steps,
-        "last_lap_total": _number(rows[-1]["lap_total"] if rows else math.inf),
+        "last_lap_total": last,
         "peak_memory_mib": peak_memory_mib(),
         "provenance": provenance(config, folder / "policy.npz"),
     }
     write_json(folder / "summary.json", summary)
-
-
-def _number(value: float) -> float | None:
-    return round(value, 3) if math.isfinite(value) else None
 
 
 def peak_memory_mib() -> float | None:
@@ -141,8 +133,7 @@ def peak_memory_mib() -> float | None:
     try:
         import resource
     except ImportError:  # Windows
-        peak = getattr(psutil.Process().memory_info(), "peak_wset", None)
-        return None if peak is None else round(peak / 2**20, 0)
+        return None
     unit = 2**20 if sys.platform == "darwin" else 2**10  # of ru_maxrss, in one MiB
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit, 0)
 
@@ -196,15 +187,13 @@ def saved_rows(path: Path) -> list[Row]:
         InputError: a damaged file.
     """
     rows = _read_rows(path) if path.exists() else []
-    if not all(float(row.get("steps", "nan")).is_integer() for row in rows):
+    if not all(row.get("steps", math.nan).is_integer() for row in rows):
         raise InputError(f"{path}: the column steps is missing or not whole numbers")
     return [row | {"steps": int(row["steps"])} for row in rows]
 
 
 def read_metrics(path: Path | str) -> dict[str, np.ndarray]:
     """The columns of a metrics CSV, (rows,) each; an empty cell is NaN.
-
-    A truncated last line is dropped.
 
     Raises:
         InputError: no such file, no rows, or a cell that is not a number, by its line.
@@ -216,19 +205,13 @@ def read_metrics(path: Path | str) -> dict[str, np.ndarray]:
 
 
 def _read_rows(path: Path | str) -> list[Row]:
-    names, *lines = [line.split(",") for line in read_text(path).splitlines()] or [[]]
-    if lines and len(lines[-1]) < len(names):
-        lines.pop()
     rows: list[Row] = []
-    for line, cells in enumerate(lines, 2):
-        if len(cells) != len(names):
-            raise InputError(f"{path} line {line}: {len(cells)} cells, expected {len(names)}")
-        rows.append({})
-        for name, cell in zip(names, map(str.strip, cells), strict=True):
-            try:
-                rows[-1][name] = float(cell or "nan")
-            except ValueError:
-                raise InputError(
-                    f"{path} line {line}: {name!r} is {cell!r}, expected a number"
-                ) from None
+    for line, row in enumerate(csv.DictReader(read_text(path).splitlines()), 2):
+        try:
+            rows.append({name: float(cell or "nan") for name, cell in row.items()})
+        except (TypeError, ValueError):
+            cells = ",".join(map(str, row.values()))
+            raise InputError(
+                f"{path} line {line}: {cells!r:.80}, expected {len(row)} numbers"
+            ) from None
     return rows

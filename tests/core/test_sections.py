@@ -1,6 +1,5 @@
 """The base of all configs: reading, composing, building and one-line errors."""
 
-import re
 import subprocess
 import sys
 from typing import Annotated, Literal
@@ -12,7 +11,6 @@ from quadjax.config.reference import describe
 from quadjax.core.errors import InputError
 from quadjax.core.sections import Field, Section, build, model_validator
 from quadjax.core.yaml_files import (
-    merge_trees,
     parse_overrides,
     parse_yaml,
     read_tree_with_bases,
@@ -56,6 +54,8 @@ def test_build_takes_what_is_meant():
     assert isinstance(example.count, int) and isinstance(example.widths[1], int)
     assert example.span.end == 2.0 and example.factors == {"a": 1.0}
     assert Example(count=2e3).count == 2000 and example.replace(count=5).count == 5
+    with pytest.raises(InputError, match="^f.yaml: learner.count is 0, allowed: greater"):
+        build(Example, {"count": 0}, "f.yaml", prefix="learner.")
 
 
 REFUSED = [
@@ -93,11 +93,6 @@ def test_a_section_made_directly_refuses_in_one_line():
     with pytest.raises(InputError, match="^Span: unknown key start; allowed there: begin, until$"):
         Span(start=1.0)
     assert Span(begin=1, end=2.0) == Span(begin=1.0, until=2)
-
-
-def test_prefix_names_the_section():
-    with pytest.raises(InputError, match=re.escape("f.yaml: learner.count is 0, allowed: greater")):
-        build(Example, {"count": 0}, "f.yaml", prefix="learner.")
 
 
 def test_yaml_is_version_1_2():
@@ -154,10 +149,11 @@ def test_read_yaml_refuses_what_is_no_file_of_text(tmp_path):
 
 
 def test_bases_compose_in_order(tmp_path):
-    (tmp_path / "a.yaml").write_text("x: {p: 1, q: 1, r: 1}")
-    (tmp_path / "b.yaml").write_text("x: {q: 2, r: 2}")
+    (tmp_path / "a.yaml").write_text("x: {p: 1, q: 1, r: 1}\nd: [1]")
+    (tmp_path / "b.yaml").write_text("x: {q: 2, r: 2}\nd: [4]")
     (tmp_path / "c.yaml").write_text("base: [a.yaml, b]\nx: {r: 3}\ny: 4")
-    assert read_tree_with_bases(tmp_path / "c.yaml") == {"x": {"p": 1, "q": 2, "r": 3}, "y": 4}
+    tree = {"x": {"p": 1, "q": 2, "r": 3}, "d": [4], "y": 4}
+    assert read_tree_with_bases(tmp_path / "c.yaml") == tree
 
 
 def test_bases_refused(tmp_path):
@@ -186,12 +182,6 @@ def test_overrides():
     for word in ("a", "=3", "a..b=3", ".=1", ".".join("a" * 2000) + "=1"):
         with pytest.raises(InputError, match="is not of the form key=value"):
             parse_overrides([word])
-
-
-def test_merge_trees_leaves_its_arguments():
-    under = {"a": {"b": 1, "c": 2}, "d": [1]}
-    assert merge_trees(under, {"a": {"b": 3}, "d": [4]}) == {"a": {"b": 3, "c": 2}, "d": [4]}
-    assert under == {"a": {"b": 1, "c": 2}, "d": [1]}
 
 
 def test_to_yaml_reads_back(tmp_path):
