@@ -79,28 +79,12 @@ def test_defaults_are_the_published_model():
 
 
 def test_overrides():
-    config = load_config(
-        BLANK,
-        [
-            "seed=7",
-            "learner.learning_rate=1e-3",
-            "network.hidden=[32, 16]",
-            "vehicle.model=rate",
-            "vehicle.constants.d_x=0.5",
-            "start.gate=random",
-            "run.devices=2",
-            "run.steps=2e6",
-            "rules.position_limit=null",
-            "name=other",
-            "track=figure8",
-        ],
-    )
-    assert config.seed == 7 and config.learner.learning_rate == 1e-3
+    words = "vehicle.model=rate vehicle.constants.d_x=0.5 run.steps=2e6 rules.position_limit=null"
+    config = load_config(BLANK, [*words.split(), "network.hidden=[32, 16]", "track=figure8"])
     assert config.network.hidden == (32, 16) and config.vehicle.model == "rate"
     assert config.vehicle.constants == ref.RATE | {"d_x": 0.5}
-    assert config.start.gate == "random" and config.run.devices == 2
     assert config.run.steps == 2_000_000 and config.rules.position_limit is None
-    assert config.name == "other" and config.track.name == "figure8"
+    assert config.track.name == "figure8"
     with pytest.raises(pydantic.ValidationError):
         config.seed = 3
 
@@ -116,21 +100,13 @@ def test_another_algorithm_starts_from_its_own_defaults():
 def test_schedules_are_merged_and_removed():
     config = load_config("e2e +fastest", ["schedules.learner.std.linear=[0.4, 0.2, 0.1]"])
     assert config.schedules["learner.std"].linear == (0.4, 0.2, 0.1)
-    assert config.schedules["learner.std"].until == 1.0
     again = load_config("e2e +fastest", ["schedules={learner.std: null, reward.gate_edge: null}"])
     assert set(again.schedules) == {"learner.learning_rate", "learner.critic_learning_rate"}
     assert load_config("e2e +fastest", ["schedules=null"]).schedules == {}
-
-
-def test_no_line_outside_the_openings_pays_with_the_penalty_at_the_edges():
-    """At the end of the widened opening, a collision is as good."""
-    assert load_config("e2e", ["track=figure8"]).reward.gate_edge == 0.0
-    other = load_config("e2e", ["+gate_edge", "track=figure8"])
-    reward, wider = other.reward, other.training_limits.gate_inflation
-    for gate in other.track.gates:
-        passed = reward.gate - reward.gate_offset * (0.5 * gate.size[0] + wider)
-        passed -= reward.gate_edge * (reward.gate_edge_margin + wider)
-        assert passed <= -reward.collision
+    own = "tests.race.test_extensions:speed"
+    weight = f"schedules={{'reward.terms.{own}': {{linear: [0, value]}}}}"
+    config = load_config(BLANK, [f"reward.terms={{{own}: 0.5}}", weight])
+    assert config.schedules[f"reward.terms.{own}"].linear == (0.0, "value")
 
 
 def test_parts_are_merged_over_a_preset_and_below_overrides(tmp_path, monkeypatch):
@@ -206,11 +182,6 @@ def test_files_of_a_config_are_checked(tmp_path, text, files, says):
     assert says in refusal(tmp_path / "c.yaml")
 
 
-def test_names_that_are_no_config():
-    assert "no such preset or file; did you mean e2e_race?" in refusal("e2e_rase")
-    assert "no such file" in refusal("none.yaml")
-
-
 def test_an_error_names_the_file_that_sets_the_key(tmp_path):
     track, drone, base = tmp_path / "t.yaml", tmp_path / "d.yaml", tmp_path / "base.yaml"
     gates = "gates: [{position: [2, -1.5, -1.5], yaw_deg: %s}, {position: [2, 1.5, -1.5]}]"
@@ -230,10 +201,8 @@ def test_an_error_names_the_file_that_sets_the_key(tmp_path):
 
 
 REFUSED = [
-    ("learner.algorithm=sac", "learner.algorithm is 'sac', allowed: ppo, shac or module:Class"),
     ("vehicle.model=boat", "vehicle.model is 'boat', allowed: motor, rate"),
     ("vehicle.constants.k_w=0", "vehicle.constants.k_w is 0.0, allowed: a positive number"),
-    ("vehicle.constants.k_w=2e-8", "vehicle.constants give a thrust of"),
     ("vehicle.constants.k_w=1", "give a thrust of 3.67e+06 to 4.93e+07 times the weight, allowed"),
     ("vehicle.width=1", "track.gates[0].size is [1.0, 1.0], allowed: above vehicle.width 1"),
     ("reward.overspeed=3", "reward.overspeed is 3.0, allowed: 20.0 without rules.speed_limit"),
@@ -257,7 +226,6 @@ REFUSED = [
         "track.gates=[{position: [0, 0, -1]}, {position: [0, 0, -1], yaw_deg: 180}]",
         "track.gates[0].position is [0.0, 0.0, -1.0], allowed: another place than the gate before",
     ),
-    ("name=a/b", "name is 'a/b', allowed: match pattern '^[A-Za-z0-9_][A-Za-z0-9._-]{0,99}$'"),
     (
         "schedules.reward.gates.linear=[0, 1]",
         "schedules: reward.gates: unknown key; did you mean gate?; allowed there",
@@ -280,7 +248,6 @@ REFUSED = [
     ),
     ("schedules.vehicle.residual_gain={linear: [0, value]}", "vehicle.residual_gain has no effect"),
     ("rules.bounds=[[9, -9], [-9, 9], [-6, 0]]", "allowed: [lowest, highest] for each of x, y"),
-    ("vehicle=bebp1", "overrides: vehicle.file: 'bebp1': no such file in"),
     (["training_limits.gate_inflation=0.1", "reward.gate_offset=0"], "gate_inflation is 0.1"),
     (["learner.shuffle_block=7"], "shuffle_block is 7, allowed: a divisor of 64 (rollout"),
     (
@@ -299,7 +266,6 @@ REFUSED = [
     (["vehicle.model=rate", "disturbance.moment_bias=[0.01,0,0]"], "disturbance.moment_bias"),
     (["vehicle.model=rate", "observation.disturbance=estimated"], "observation.disturbance is"),
     (["vehicle.model=rate", "vehicle.constants.thrust_max=9"], "give a thrust of 0 to 0.917"),
-    (["vehicle.model=rate", "vehicle.constants.d_x=-1"], "d_x is -1.0, allowed: at least 0"),
     (
         ["run.steps=1000000", "schedules.reward.gate={linear: [0, value], until: 2e6}"],
         "schedules.reward.gate.until is '2e+06 steps', allowed: at most run.steps 10000",
@@ -339,26 +305,6 @@ def test_a_schedule_may_start_where_the_last_values_are_needed():
             "schedules.reward.gate_edge={linear: [0, value]}",
         ],
     )
-
-
-def test_the_weight_of_an_own_term_can_be_scheduled():
-    own = "tests.race.test_extensions:speed"
-    config = load_config(
-        BLANK,
-        [
-            f"reward.terms={{{own}: 0.5}}",
-            f"schedules={{'reward.terms.{own}': {{linear: [0, value]}}}}",
-        ],
-    )
-    assert config.schedules[f"reward.terms.{own}"].linear == (0.0, "value")
-
-
-def test_at_changes_one_key():
-    config = load_config(BLANK)
-    assert config.at("reward.gate", 3.0).reward.gate == 3.0
-    assert config.at("vehicle.constants.k_w", 5e-8).vehicle.constants["k_w"] == 5e-8
-    with pytest.raises(InputError, match="gates"):
-        config.at("reward.gates", 3.0)
 
 
 def test_a_short_form_keeps_the_other_overrides_of_its_section():
