@@ -36,8 +36,9 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn, Self, TypeGuard, TypeVar
 
 import pydantic
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticCustomError
 
 from quadjax.core.errors import InputError, close_match, short
 from quadjax.core.resources import find_config
@@ -54,6 +55,15 @@ NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 FOLDER_NAME = r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}"
 FolderName = Annotated[str, Field(pattern=rf"^{FOLDER_NAME}$")]
+
+
+def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise PydanticCustomError("ordered", "Input should be [lowest, highest]")
+    return ends
+
+
+ORDERED = AfterValidator(_ordered)  # of a pair: ``Annotated[tuple[float, float], ORDERED]``
 
 
 @dataclasses.dataclass(frozen=True)

@@ -146,12 +146,10 @@ def make_ppo(
 
 
 def policy_of_ppo(model: PPO, like: Policy) -> Policy:
-    """The policy of Stable-Baselines3 as a quadjax policy.
+    """The MLP policy of Stable-Baselines3, such as of ``make_ppo``, as a quadjax policy.
 
-    Args:
-        model: with an MLP policy, for example from ``make_ppo``.
-        like: a policy of the same race, such as ``quadjax.training.build.untrained_policy(config)``
-            returns: the vehicle, the observation and the commands.
+    Vehicle, observation and commands are those of ``like``, a policy of the same race, such as
+    ``quadjax.training.build.untrained_policy(config)`` returns.
     """
     network = model.policy
     linear = [m for m in network.mlp_extractor.policy_net if isinstance(m, torch.nn.Linear)]

@@ -45,10 +45,8 @@ class Plan:
 def plan_chunks(steps: int, steps_per_chunk: int, steps_per_update: int) -> Plan:
     """Whole updates of a chunk, and whole chunks of a run, at least one of each.
 
-    Args:
-        steps: environment steps of the run, at least: the plan has less than one chunk more.
-        steps_per_chunk: environment steps of a chunk, about: chunks divide the run evenly.
-        steps_per_update: environment steps of an update.
+    The numbers are environment steps. A run has at least ``steps``, and less than one chunk more; a
+    chunk has about ``steps_per_chunk``, so that chunks divide the run evenly.
     """
     wanted = math.ceil(steps / steps_per_update)
     chunks = max(1, round(wanted / max(1, round(steps_per_chunk / steps_per_update))))
@@ -77,14 +75,8 @@ def train_chunks(
 ) -> Iterator[Progress]:
     """Train to the end of the plan, and yield the run after each chunk.
 
-    The memory of an earlier state is reused: only the latest one may be read.
-
-    Args:
-        chunk: a compiled chunk of updates.
-        params: traced parameters of the environment.
-        state: where to start.
-        plan: of the whole run.
-        done: environment steps of the run that led to ``state``: whole chunks.
+    The memory of an earlier state is reused: only the latest one may be read. ``done`` are the
+    environment steps of the run that led to ``state``: whole chunks.
 
     Raises:
         NonFiniteError: a metric is not finite; that chunk is not yielded.

@@ -7,7 +7,6 @@ the same on any number, up to rounding. On a CPU there is a device of one thread
 """
 
 import contextlib
-import dataclasses
 import os
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -34,12 +33,9 @@ def core_count() -> int:
 
 
 def prepare_devices(wanted: str | int) -> None:
-    """Split the CPU into the number of devices that a run may use.
+    """Split the CPU into the number of devices that a run may use: auto, all, or a number.
 
     Call it before JAX computes anything; later it has no effect.
-
-    Args:
-        wanted: ``run.devices``: auto, all, or a number.
     """
     count = int(wanted) if str(wanted).isdigit() else core_count()
     with contextlib.suppress(RuntimeError):
@@ -49,10 +45,8 @@ def prepare_devices(wanted: str | int) -> None:
 def choose_devices(wanted: str | int, num_envs: int) -> int:
     """The number of devices to train on.
 
-    Args:
-        wanted: ``run.devices``: auto (the largest number that divides the number of environments),
-            all, or a number.
-        num_envs: number of environments in the learner's state; 0 if it holds none.
+    ``wanted`` is ``run.devices``: auto (the largest number that divides the number of environments
+    in the learner's state, which may be 0), all, or a number.
 
     Raises:
         InputError: more devices than there are, or a number that does not divide the environments.
@@ -80,11 +74,7 @@ def make_mesh(count: int) -> Mesh:
 
 
 def choose_mesh(wanted: str | int, state: TrainState) -> Mesh:
-    """The mesh for the state of a learner, or for its shapes.
-
-    Args:
-        wanted: as in ``choose_devices``.
-        state: whose environments are split over the mesh.
+    """The mesh of ``choose_devices`` for the state of a learner, or for its shapes.
 
     Raises:
         InputError: as ``choose_devices``, or the devices have too little memory for the state.
@@ -105,7 +95,7 @@ def split_last(tree: Any) -> Any:
 def _shardings(state: TrainState, mesh: Mesh) -> TrainState:
     """How each leaf is laid out: environments are split by their last axis, all else is shared."""
     shared = jax.tree.map(lambda _: SHARED, state)
-    specs = dataclasses.replace(shared, environment=split_last(state.environment))
+    specs = shared.replace(environment=split_last(state.environment))
     return jax.tree.map(lambda spec: NamedSharding(mesh, spec), specs)
 
 
@@ -123,11 +113,9 @@ def place(state: TrainState, mesh: Mesh) -> TrainState:
 
 
 def constrain(tree: Tree, *spec: str | None) -> Tree:
-    """The tree, laid out over the mesh that a program is compiled for; as it is without one.
+    """Traced arrays, laid out over the mesh that a program is compiled for, if it is for one.
 
-    Args:
-        tree: arrays under a trace.
-        spec: the mesh axis by which each of the first array axes is split; none: shared.
+    ``spec`` is the mesh axis by which each of the first array axes is split; none: shared.
     """
     if AXIS not in jax.sharding.get_abstract_mesh().axis_names:
         return tree
@@ -139,12 +127,8 @@ def sum_over_devices(
 ) -> Callable[..., tuple[Any, Any]]:
     """A function that adds up its first result over the devices once, at its end.
 
-    The compiler alone adds up a gradient through a rollout at every time step.
-
-    Args:
-        function: of arrays split over the devices, to (sums over environments, arrays).
-        in_specs: a partition spec of each argument.
-        out_specs: of the second result.
+    The compiler alone adds up a gradient through a rollout at every time step. The function's
+    arguments are split over the devices as ``in_specs`` say, its second result as ``out_specs``.
     """
     if AXIS not in jax.sharding.get_abstract_mesh().axis_names:
         return function
@@ -159,10 +143,7 @@ def sum_over_devices(
 
 
 def compile_options() -> dict[str, bool]:
-    """XLA's compiler options: one thread per CPU device.
-
-    XLA's own threads slow down matrix products this small; a device for each core is faster.
-    """
+    """XLA's options: one thread per CPU device. More slow down matrix products this small."""
     return {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
 
 
@@ -182,21 +163,15 @@ def compile_chunk(
 ) -> Chunk:
     """Compile ``updates`` updates as one program that reuses the old state's memory.
 
-    It is compiled ahead of time: a state of another shape is an error, not another compilation.
-
-    Args:
-        learner: the algorithm.
-        mesh: the devices.
-        updates: in one call.
-        params: traced parameters of the environment.
-        state: the state, or its shapes.
-
-    Raises:
-        InputError: the program needs more memory than a device has.
+    It is compiled ahead of time, for a state or its shapes: one of another shape is an error, not
+    another compilation.
 
     Returns:
         A function of the environment's parameters and the placed state, to the next state and the
         metrics of every update, each (updates,).
+
+    Raises:
+        InputError: the program needs more memory than a device has.
     """
     shared, split = NamedSharding(mesh, SHARED), _shardings(state, mesh)
     jitted = jax.jit(
@@ -210,21 +185,15 @@ def compile_chunk(
     shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), state)
     with jax.set_mesh(mesh):
         program = jitted.lower(hyper, params, shapes).compile()
-    check_memory(program_bytes(program), mesh)
+    if (memory := program.memory_analysis()) is not None:  # not available on every backend
+        results = memory.output_size_in_bytes - memory.alias_size_in_bytes
+        needed = memory.argument_size_in_bytes + memory.temp_size_in_bytes + results
+        check_memory(needed, mesh)
 
     def chunk(params: Any, state: TrainState) -> tuple[TrainState, Metrics]:
         return program(hyper, jax.device_put(params, shared), state)
 
     return chunk
-
-
-def program_bytes(program: jax.stages.Compiled) -> int:
-    """Memory of a compiled program on each device: arguments, results and temporaries."""
-    memory = program.memory_analysis()
-    if memory is None:  # not available on this backend
-        return 0
-    results = memory.output_size_in_bytes - memory.alias_size_in_bytes
-    return memory.argument_size_in_bytes + memory.temp_size_in_bytes + results
 
 
 def check_memory(needed: float, mesh: Mesh) -> None:

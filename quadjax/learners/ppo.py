@@ -38,12 +38,12 @@ from quadjax.learners.section import (
     LearnerSection,
     NumEnvs,
     RewardScale,
-    Warmup,
     check_divisor,
 )
 from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, TrainState
 
 MAX_RESET_INTERVAL = 64  # steps between two draws of the states that episodes restart from
+EPSILON = 1e-5  # of Adam, as in Stable-Baselines3
 Carry = tuple[ActorCritic, optax.OptState]
 
 
@@ -64,7 +64,6 @@ class PPO(LearnerSection):
         "drawn; null: all steps of an update",
     )
     learning_rate: Fraction = Field(7e-4, description="step size of Adam")
-    adam_epsilon: float = Field(1e-5, gt=0, le=1, description="epsilon of Adam")
     discount: Discount = 0.99
     gae_lambda: Fraction = Field(0.95, description="lambda of generalized advantage estimation")
     clip_range: float = Field(
@@ -86,7 +85,6 @@ class PPO(LearnerSection):
         "is larger is skipped; null: none is",
     )
     reward_scale: RewardScale = 1.0
-    critic_warmup: Warmup = 0
     initial_log_std: float = Field(
         0.0,
         ge=-20,
@@ -132,18 +130,11 @@ def _update(
     value = jax.lax.map(lambda x: networks.value(state.params, x), steps.observation)
     target = td_lambda(steps, hyper.discount, hyper.gae_lambda, hyper.reward_scale)
     batch = Batch(steps.observation, steps.action, log_prob, target - value, target)
-    step = functools.partial(_gradient_step, networks, hyper, state.update)
+    step = functools.partial(_gradient_step, networks, hyper)
     sizes = (hyper.num_epochs, hyper.num_minibatches, hyper.shuffle_block or hyper.rollout_length)
     start = (state.params, state.optimizer)
     (params, optimizer), metrics = run_epochs(step, start, batch, shuffle_key, *sizes)
-    following = dataclasses.replace(
-        state,
-        params=params,
-        optimizer=optimizer,
-        environment=environment_state,
-        key=key,
-        update=state.update + 1,
-    )
+    following = state.following(environment_state, key, params=params, optimizer=optimizer)
     return following, {
         **jax.tree.map(jnp.mean, metrics),
         **step_metrics(steps, jnp.mean(batch.advantage**2), target),
@@ -164,11 +155,6 @@ class Batch:
     target: jax.Array  # (...) value target
 
 
-def reset_interval(steps: int) -> int:
-    """The longest divisor of ``steps`` that is at most ``MAX_RESET_INTERVAL``."""
-    return max(d for d in range(1, min(steps, MAX_RESET_INTERVAL) + 1) if steps % d == 0)
-
-
 def collect(
     environment: Environment,
     networks: Networks,
@@ -179,15 +165,16 @@ def collect(
 ) -> tuple[Any, tuple[Steps, jax.Array]]:
     """Simulate ``rollout_length`` steps of every environment with sampled actions.
 
-    The state that an environment restarts from is drawn once per ``reset_interval``, because
-    drawing it at every step takes longer than the simulation. An environment whose episode ends
-    twice within an interval restarts from the same state.
+    The state that an environment restarts from is drawn once for at most ``MAX_RESET_INTERVAL``
+    steps, because drawing it at every step takes longer than the simulation. An environment whose
+    episode ends twice within an interval restarts from the same state.
 
     Returns:
         The environment states after the last step, reset where an episode ended; the steps, and the
         log densities (time, n) of their actions.
     """
-    length, params = reset_interval(hyper.rollout_length), state.params
+    total, params = hyper.rollout_length, state.params
+    length = max(d for d in range(1, min(total, MAX_RESET_INTERVAL) + 1) if total % d == 0)
     shape = (length, hyper.num_envs, networks.action_size)
 
     def interval(state: Any, key: jax.Array) -> tuple[Any, tuple[Steps, jax.Array]]:
@@ -199,13 +186,13 @@ def collect(
         # The density of an action about its mean is that of its noise about zero.
         return state, (steps, log_probability(scaled, jnp.zeros(shape), params.log_std))
 
-    keys = jax.random.split(key, hyper.rollout_length // length)
+    keys = jax.random.split(key, total // length)
     environment_state, steps = jax.lax.scan(interval, state.environment, keys)
     return environment_state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), steps)
 
 
 def _gradient_step(
-    networks: Networks, hyper: PPO, update: jax.Array, carry: Carry, batch: Batch
+    networks: Networks, hyper: PPO, carry: Carry, batch: Batch
 ) -> tuple[Carry, Metrics]:
     """One step of Adam.
 
@@ -221,23 +208,13 @@ def _gradient_step(
     else:
         gradient = clip(gradient, hyper.max_grad_norm)
     accepted = True if hyper.max_kl is None else metrics["approx_kl"] <= hyper.max_kl
-    carry, skipped = descend(_optimizer(hyper, update), gradient, carry, accepted)
+    carry, skipped = descend(_optimizer(hyper), gradient, carry, accepted)
     return carry, metrics | {"gradient_norm": norm, "skipped": skipped}
 
 
-def _optimizer(hyper: PPO, update: jax.Array | int = 0) -> optax.GradientTransformation:
-    """Adam; while the critic warms up, the policy stays as it is."""
-    rate = -jnp.asarray(hyper.learning_rate)
-    actor_rate = jnp.where(update < hyper.critic_warmup, 0.0, rate)
-
-    def scaled(change: ActorCritic, _: Any) -> ActorCritic:
-        return ActorCritic(
-            policy=optax.tree.scale(actor_rate, change.policy),
-            log_std=actor_rate * change.log_std,
-            value=optax.tree.scale(rate, change.value),
-        )
-
-    return optax.chain(optax.scale_by_adam(eps=hyper.adam_epsilon), optax.stateless(scaled))
+def _optimizer(hyper: PPO) -> optax.GradientTransformation:
+    rate = jnp.asarray(hyper.learning_rate)
+    return optax.chain(optax.scale_by_adam(eps=EPSILON), optax.scale(-rate))
 
 
 def loss(
@@ -253,7 +230,8 @@ def loss(
     mean = networks.mean(params, batch.observation)
     log_ratio = log_probability(batch.action, mean, params.log_std) - batch.log_prob
     ratio = jnp.exp(log_ratio)
-    advantage = normalize(batch.advantage)
+    advantage = batch.advantage - jnp.mean(batch.advantage)
+    advantage = advantage / (jnp.std(batch.advantage) + 1e-8)
     clipped = jnp.clip(ratio, 1.0 - hyper.clip_range, 1.0 + hyper.clip_range)
     policy_loss = -jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
     value = networks.value(params, batch.observation)
@@ -274,8 +252,3 @@ def log_probability(action: jax.Array, mean: jax.Array, log_std: jax.Array) -> j
     log_std = jnp.broadcast_to(log_std, action.shape)
     scaled = (action - mean) * jnp.exp(-log_std)
     return -0.5 * jnp.sum(scaled**2 + 2.0 * log_std + jnp.log(2.0 * jnp.pi), axis=-1)
-
-
-def normalize(advantage: jax.Array) -> jax.Array:
-    """Advantages with zero mean and unit variance."""
-    return (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + 1e-8)

@@ -15,6 +15,7 @@ from quadjax.learners.parallel import AXIS, constrain
 from quadjax.learners.state import ActorCritic, Metrics, Networks, TrainState
 
 Carry = TypeVar("Carry")
+Results = TypeVar("Results")
 
 
 @struct.dataclass
@@ -56,11 +57,8 @@ def draw(
 ) -> tuple[Any, jax.Array]:
     """Random states that episodes restart from, and standard normal noise of the actions.
 
-    Args:
-        environment: of many agents, as ``quadjax.core.environment.vectorize`` makes it.
-        env_params: traced parameters of the environment.
-        key: PRNG key.
-        shape: of the noise: (time, n, actions).
+    The environment is of many agents (``quadjax.core.environment.vectorize``); ``shape`` is that of
+    the noise: (time, n, actions).
     """
     reset_key, noise_key = jax.random.split(key)
     keys = constrain(jax.random.split(reset_key, shape[1]), AXIS)
@@ -122,19 +120,13 @@ def td_lambda(
 ) -> jax.Array:
     """TD(lambda) target (time, n) of the value of the observation before each step.
 
-    ``G_t = r_t + discount ((1 - lambda) V(s'_t) + lambda G_{t+1})``
+    ``G_t = r_t + discount ((1 - lambda) V(s'_t) + lambda G_{t+1})``, with ``mixing`` as lambda.
 
     ``s'_t`` is the state after the step and before any reset. At the last step and where an episode
     is truncated, ``V(s'_t)`` alone takes the place of the mixture, so that a truncated episode
     bootstraps from its last observation; where it is terminated, zero does (Xu et al., 2022, eq.
     7). The advantage of generalized advantage estimation (Schulman et al., 2016) is
     ``G_t - V(s_t)``.
-
-    Args:
-        steps: with axes time and environment.
-        discount: ().
-        mixing: () lambda.
-        reward_scale: () factor on the rewards.
     """
 
     def backward(following: jax.Array, step: Steps) -> tuple[jax.Array, jax.Array]:
@@ -148,12 +140,7 @@ def td_lambda(
 
 
 def step_metrics(steps: Steps, error: jax.Array, target: jax.Array) -> Metrics:
-    """Metrics of all steps of an update.
-
-    Args:
-        steps: with axes time and environment.
-        error: () mean squared error of the value.
-        target: (time, n) its targets.
+    """Metrics of all steps of an update, with the value's mean squared error () and its targets.
 
     Returns:
         ``reward``: mean per step; ``terminated``: fraction of steps that terminate an episode;
@@ -178,14 +165,14 @@ def step_metrics(steps: Steps, error: jax.Array, target: jax.Array) -> Metrics:
 
 
 def run_epochs(
-    step: Callable[[Carry, Any], tuple[Carry, Metrics]],
+    step: Callable[[Carry, Any], tuple[Carry, Results]],
     carry: Carry,
     data: Any,
     key: jax.Array,
     num_epochs: int,
     num_minibatches: int,
     block: int,
-) -> tuple[Carry, Metrics]:
+) -> tuple[Carry, Results]:
     """Several passes over the data of an update, each in minibatches of another order.
 
     On several devices every one holds all data, and takes its part of the rows of each minibatch.
@@ -200,7 +187,7 @@ def run_epochs(
         block: consecutive steps of one environment that stay together; divides time.
 
     Returns:
-        The carry, and the metrics of every step, each (num_epochs, num_minibatches).
+        The carry, and the results of every step, each (num_epochs, num_minibatches).
     """
 
     def in_blocks(x: jax.Array) -> jax.Array:
@@ -209,18 +196,17 @@ def run_epochs(
         x = x.reshape(time // block, block, n, *rest)
         return jnp.moveaxis(x, 2, 0).reshape(-1, block, *rest)
 
-    def rows_of(blocks: jax.Array, chosen: jax.Array) -> jax.Array:
-        chosen_blocks = blocks.at[chosen].get(mode="promise_in_bounds")
-        return chosen_blocks.reshape(-1, *blocks.shape[2:])
-
     blocks = constrain(jax.tree.map(in_blocks, data))
     count = jax.tree.leaves(blocks)[0].shape[0]
 
-    def minibatch(carry: Carry, chosen: jax.Array) -> tuple[Carry, Metrics]:
-        rows = jax.tree.map(lambda x: rows_of(x, chosen), blocks)
-        return step(carry, constrain(rows, AXIS))
+    def minibatch(carry: Carry, chosen: jax.Array) -> tuple[Carry, Results]:
+        def rows_of(blocks: jax.Array) -> jax.Array:
+            taken = blocks.at[chosen].get(mode="promise_in_bounds")
+            return taken.reshape(-1, *blocks.shape[2:])
 
-    def epoch(carry: Carry, key: jax.Array) -> tuple[Carry, Metrics]:
+        return step(carry, constrain(jax.tree.map(rows_of, blocks), AXIS))
+
+    def epoch(carry: Carry, key: jax.Array) -> tuple[Carry, Results]:
         order = jax.random.permutation(key, count).reshape(num_minibatches, -1)
         return jax.lax.scan(minibatch, carry, order)
 
@@ -238,13 +224,9 @@ def descend(
     carry: tuple[Any, optax.OptState],
     accepted: jax.Array | bool = True,
 ) -> tuple[tuple[Any, optax.OptState], jax.Array]:
-    """One step of an optimizer on (parameters, its state), if the gradient is finite.
+    """One step of an optimizer on a carry of parameters and its state, if the gradient is finite.
 
-    Args:
-        optimizer: its updates are added to the parameters.
-        gradient: of the parameters.
-        carry: parameters and the optimizer's state.
-        accepted: () where it is false, the step changes nothing either.
+    Where ``accepted`` () is false, the step changes nothing either.
 
     Returns:
         Parameters and state, and whether (1 or 0) the step was skipped.

@@ -8,9 +8,8 @@ traced: other numbers for the same leaves do not trigger recompilation.
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NoReturn
 
 import jax
 import jax.numpy as jnp
@@ -67,12 +66,7 @@ class Schedule(Section):
     )
 
     def knots(self, run_steps: int, total: int) -> list[float]:
-        """Environment steps, or levels, of the values.
-
-        Args:
-            run_steps: ``run.steps``, to which fractions refer.
-            total: steps at the end of the run, a whole number of chunks.
-        """
+        """Environment steps, or levels, of the values; ``total`` steps are the end of the run."""
         begin, end = self.start, self.until
         if self.by == "steps":
             begin, end = (
@@ -102,18 +96,26 @@ class Scheduled:
     # () share at which the level rises, and its largest change per update; None: no level.
     level: tuple[jax.Array, jax.Array] | None = None
 
+    def at(self, update: jax.Array, level: jax.Array | None, params: Tree) -> tuple[Tree, Tree]:
+        """The hyperparameters and the environment's parameters after ``update`` () updates."""
+        leaves, structure = jax.tree.flatten((self.hyper, params))
+        for schedule in self.schedules:
+            count = schedule.knots.shape[0]
+            place = level if schedule.by_level and level is not None else update.astype(jnp.float32)
+            shares = jax.vmap(jnp.interp, (None, None, 0))(place, schedule.knots, jnp.eye(count))
+            for index, values in zip(schedule.leaves, schedule.values, strict=True):
+                weights = shares.reshape(count, *(1,) * (values.ndim - 1)).astype(values.dtype)
+                leaves[index] = jnp.sum(weights * values, axis=0)
+        return jax.tree.unflatten(structure, leaves)
+
 
 def make_schedule(
     key: str, knots: np.ndarray, trees: Sequence[Tree], by_level: bool = False
 ) -> Knots:
-    """A schedule from the run's numbers at each knot.
+    """A schedule of a key from the run's numbers at each knot.
 
-    Args:
-        key: what is scheduled, for error messages.
-        knots: updates, or levels, not decreasing; at two equal ones the value jumps.
-        trees: ``(hyperparameters, environment parameters)`` at each knot, of one structure. Only
-            leaves of floating-point numbers may differ.
-        by_level: the knots are levels.
+    Knots are updates or levels, not decreasing; at two equal ones the value jumps. ``trees`` are
+    ``(hyperparameters, environment parameters)`` at each knot.
 
     Raises:
         InputError: no leaf differs, a leaf that cannot be interpolated does, or a leaf's shape or
@@ -125,20 +127,21 @@ def make_schedule(
         leaves, structure = jax.tree.flatten(tree)
         return structure, [(np.shape(x), jnp.result_type(x)) for x in leaves]
 
+    def refuse(reason: str) -> NoReturn:
+        raise InputError(f"schedules: {key} {reason}")
+
     if any(program(tree) != program(trees[0]) for tree in trees[1:]):
-        raise InputError(
-            f"schedules: {key} cannot be scheduled: it changes the program, not only numbers"
-        )
+        refuse("cannot be scheduled: it changes the program, not only numbers")
     rows = zip(*(jax.tree.leaves(jax.device_get(tree)) for tree in trees), strict=True)
     columns = {i: np.stack([np.asarray(x) for x in row]) for i, row in enumerate(rows)}
     changed = {i: column for i, column in columns.items() if np.any(column != column[:1])}
     if not changed:
-        raise InputError(f"schedules: {key} has no effect: it changes no number of this run")
+        refuse("has no effect: it changes no number of this run")
     for column in changed.values():
         if not (np.issubdtype(column.dtype, np.floating) and np.all(np.isfinite(column))):
-            raise InputError(
-                f"schedules: {key} cannot be scheduled: it changes numbers that are whole or "
-                "infinite, allowed: finite floating-point numbers"
+            refuse(
+                "cannot be scheduled: it changes numbers that are whole or infinite, allowed: "
+                "finite floating-point numbers"
             )
     places = knots.astype(np.float32)
     for i in range(len(places) - 2, -1, -1):  # of equal ones, the earlier get smaller numbers
@@ -157,7 +160,8 @@ def schedule_learner(
 ) -> Learner:
     """The learner with hyperparameters and environment parameters that follow schedules.
 
-    ``init`` and ``update`` of the learner get the numbers of the first knots and of the update.
+    ``init`` and ``update`` of the learner get the numbers of the first knots and of the update. Its
+    ``hyper`` then holds the schedules too: they are traced arguments.
 
     Args:
         learner: any learner; its ``hyper`` is a pytree of arrays.
@@ -167,9 +171,6 @@ def schedule_learner(
         plan: of the run.
         steps: requested environment steps of the run, to which fractions refer.
         curriculum: how the level changes, where a schedule follows it.
-
-    Returns:
-        A learner whose ``hyper`` holds the schedules too: they are traced arguments.
 
     Raises:
         InputError: a schedule without effect, of a key that is not a number, or of a number that
@@ -181,8 +182,7 @@ def schedule_learner(
     keys: dict[int, str] = {}  # of the schedule of each leaf
     for key, schedule in schedules.items():
         trees = [numbers_at(key, None if x == "value" else x) for x in schedule.linear]
-        by_level = schedule.by == "pass_rate"
-        knots = np.array(schedule.knots(steps, plan.steps))
+        by_level, knots = schedule.by == "pass_rate", np.array(schedule.knots(steps, plan.steps))
         knots = knots if by_level else knots / plan.steps_per_update
         built.append(make_schedule(key, knots, trees, by_level))
         for leaf in built[-1].leaves:
@@ -193,49 +193,23 @@ def schedule_learner(
         curriculum = curriculum or Curriculum()
         updates = max(1.0, curriculum.duration * steps / plan.steps_per_update)
         level = jnp.float32(curriculum.pass_rate), jnp.float32(1.0 / updates)
+
+    def init(hyper: Scheduled, params: Tree, key: jax.Array) -> TrainState:
+        first, lowest = jnp.zeros((), jnp.int32), jnp.zeros(())
+        state = learner.init(*hyper.at(first, lowest, params), key)
+        return state if hyper.level is None else dataclasses.replace(state, level=lowest)
+
+    def update(hyper: Scheduled, params: Tree, state: TrainState) -> tuple[TrainState, Metrics]:
+        level = None if hyper.level is None else state.level
+        following, metrics = learner.update(*hyper.at(state.update, level, params), state)
+        if hyper.level is None:
+            return following, metrics
+        if "pass_rate" not in metrics:
+            raise InputError("schedules by pass_rate: the learner reports no metric pass_rate")
+        pass_rate, climb = hyper.level  # the level rises while enough parts are completed
+        step = jnp.where(metrics["pass_rate"] >= pass_rate, climb, -climb)
+        level = jnp.clip(state.level + step, 0.0, 1.0)
+        return dataclasses.replace(following, level=level), metrics | {"level": level}
+
     hyper = Scheduled(learner.hyper, tuple(built), level)
-    return dataclasses.replace(
-        learner,
-        init=functools.partial(_init, learner),
-        update=functools.partial(_update, learner),
-        hyper=hyper,
-    )
-
-
-def _init(learner: Learner, hyper: Scheduled, params: Tree, key: jax.Array) -> TrainState:
-    level, first = jnp.zeros(()), jnp.zeros((), jnp.int32)
-    numbers, params = apply_schedules((hyper.hyper, params), hyper.schedules, first, level)
-    state = learner.init(numbers, params, key)
-    return state if hyper.level is None else dataclasses.replace(state, level=level)
-
-
-def _update(
-    learner: Learner, hyper: Scheduled, params: Tree, state: TrainState
-) -> tuple[TrainState, Metrics]:
-    """An update; the level rises while enough parts of the task are completed."""
-    level = None if hyper.level is None else state.level
-    numbers, params = apply_schedules((hyper.hyper, params), hyper.schedules, state.update, level)
-    following, metrics = learner.update(numbers, params, state)
-    if hyper.level is None:
-        return following, metrics
-    if "pass_rate" not in metrics:
-        raise InputError("schedules by pass_rate: the learner reports no metric pass_rate")
-    pass_rate, climb = hyper.level
-    step = jnp.where(metrics["pass_rate"] >= pass_rate, climb, -climb)
-    level = jnp.clip(state.level + step, 0.0, 1.0)
-    return dataclasses.replace(following, level=level), metrics | {"level": level}
-
-
-def apply_schedules(
-    tree: Tree, schedules: Sequence[Knots], update: jax.Array, level: jax.Array | None = None
-) -> Tree:
-    """The pytree with its scheduled leaves as they are after ``update`` () updates."""
-    leaves, structure = jax.tree.flatten(tree)
-    for schedule in schedules:
-        count = schedule.knots.shape[0]
-        place = level if schedule.by_level and level is not None else update.astype(jnp.float32)
-        shares = jax.vmap(jnp.interp, (None, None, 0))(place, schedule.knots, jnp.eye(count))
-        for index, values in zip(schedule.leaves, schedule.values, strict=True):
-            weights = shares.reshape(count, *(1,) * (values.ndim - 1)).astype(values.dtype)
-            leaves[index] = jnp.sum(weights * values, axis=0)
-    return jax.tree.unflatten(structure, leaves)
+    return dataclasses.replace(learner, init=init, update=update, hyper=hyper)

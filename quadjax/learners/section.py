@@ -32,9 +32,6 @@ Discount = Annotated[
 RewardScale = Annotated[
     float, Field(gt=0, le=LARGEST, description="factor on the reward in training")
 ]
-Warmup = Annotated[
-    int, Field(ge=0, le=10**9, description="updates at the start that train the value only")
-]
 
 
 class Network(Section):
@@ -87,13 +84,7 @@ class LearnerSection(Section):
     algorithm: str = Field("", description="ppo, shac, or module:Class of a learner of your own")
 
     def make(self, environment: Environment, networks: Networks, num_updates: int) -> Learner:
-        """The learner on an environment.
-
-        Args:
-            environment: three pure functions of one agent.
-            networks: the policy and the value.
-            num_updates: of the whole run.
-        """
+        """The learner on an environment of one agent, for a number of updates."""
         raise NotImplementedError
 
     def train(

@@ -39,11 +39,11 @@ from quadjax.learners.section import (
     LearnerSection,
     NumEnvs,
     RewardScale,
-    Warmup,
     check_divisor,
 )
 from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, TrainState
 
+TARGET_RATE = 0.2  # part of the distance to the critic that its target moves in an update
 EMA_FRACTION = 20.0  # the moving average covers about one part in 20 of the updates so far
 
 
@@ -75,11 +75,6 @@ class SHAC(LearnerSection):
         4, ge=1, le=1000, description="passes of the critic over the data of an update"
     )
     critic_minibatches: Count = Field(4, description="minibatches of the critic per epoch")
-    target_update_rate: Fraction = Field(
-        0.2,
-        description="fraction of the distance that the target critic moves toward the critic per "
-        "update",
-    )
     td_lambda: Fraction = Field(0.95, description="lambda of the critic's TD targets")
     discount: Discount = 0.99
     cotangent_decay: Annotated[Fraction, Unit("decay")] = Field(
@@ -101,7 +96,6 @@ class SHAC(LearnerSection):
         description="weight of the newest parameters in the exponential moving average that is "
         "evaluated and saved, per update; 1: no averaging",
     )
-    critic_warmup: Warmup = 0
 
     @model_validator(mode="after")
     def _check_sizes(self) -> Self:
@@ -141,25 +135,22 @@ def _init(
 def _update(
     environment: Environment, networks: Networks, hyper: SHAC, env_params: Any, state: TrainState
 ) -> tuple[TrainState, Metrics]:
-    """One update; while the critic warms up, the policy stays and Adam's moments are updated."""
     key, rollout_key, shuffle_key = jax.random.split(state.key, 3)
     loss, gradient, environment_state, steps = collect_gradient(
         environment, networks, hyper, env_params, state, rollout_key
     )
-    rate = jnp.where(state.update < hyper.critic_warmup, 0.0, hyper.learning_rate)
     carry, clipped = (state.params.policy, state.optimizer[0]), clip(gradient, hyper.max_grad_norm)
-    (policy, policy_optimizer), skipped = descend(_adam(hyper, rate), clipped, carry)
+    adam = _adam(hyper, hyper.learning_rate)
+    (policy, policy_optimizer), skipped = descend(adam, clipped, carry)
     value, value_optimizer, critic_metrics = fit_critic(networks, hyper, state, steps, shuffle_key)
     log_std = jnp.full_like(state.params.log_std, jnp.log(hyper.std))
     params = ActorCritic(policy=policy, log_std=log_std, value=value)
-    following = dataclasses.replace(
-        state,
+    following = state.following(
+        environment_state,
+        key,
         params=params,
         optimizer=(policy_optimizer, value_optimizer),
-        target=optax.incremental_update(params, state.target, hyper.target_update_rate),
-        environment=environment_state,
-        key=key,
-        update=state.update + 1,
+        target=optax.incremental_update(params, state.target, jnp.float32(TARGET_RATE)),
         ema=_moving_average(hyper, state, params),
     )
     return following, {
@@ -243,14 +234,7 @@ def fit_critic(
 ) -> tuple[Any, optax.OptState, Metrics]:
     """Regression of the critic to TD(lambda) targets (Xu et al., 2022, eq. 7).
 
-    Several epochs of minibatches of whole trajectories.
-
-    Args:
-        networks: the policy and the value.
-        hyper: hyperparameters.
-        state: its critic is fitted further.
-        steps: the data, with values of the target critic.
-        key: PRNG key of the order.
+    Several epochs of minibatches of whole trajectories; ``steps`` have values of the target critic.
 
     Returns:
         The critic's parameters, Adam's state, and metrics.
@@ -262,16 +246,13 @@ def fit_critic(
         predicted = networks.value(dataclasses.replace(state.params, value=value), observation)
         return jnp.mean((predicted - target) ** 2)
 
-    def step(carry: Any, rows: tuple[jax.Array, jax.Array]) -> tuple[Any, Metrics]:
+    def step(carry: Any, rows: tuple[jax.Array, jax.Array]) -> tuple[Any, jax.Array]:
         error, gradient = jax.value_and_grad(loss)(carry[0], *rows)
-        carry, _ = descend(adam, clip(gradient, hyper.critic_max_grad_norm), carry)
-        return carry, {"value_loss": error}
+        return descend(adam, clip(gradient, hyper.critic_max_grad_norm), carry)[0], error
 
-    start = (state.params.value, state.optimizer[1])
-    data = (steps.observation, targets)
+    start, data = (state.params.value, state.optimizer[1]), (steps.observation, targets)
     sizes = (hyper.critic_epochs, hyper.critic_minibatches, hyper.horizon)
-    (value, optimizer), metrics = run_epochs(step, start, data, key, *sizes)
-    errors = metrics["value_loss"]
+    (value, optimizer), errors = run_epochs(step, start, data, key, *sizes)
     metrics = {"value_loss": errors.mean()} | step_metrics(steps, errors[-1].mean(), targets)
     return value, optimizer, metrics
 

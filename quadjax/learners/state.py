@@ -101,6 +101,11 @@ class TrainState:
         """The parameters to evaluate and to save: the moving average where there is one."""
         return self.params if self.ema is None else self.ema
 
+    def following(self, environment: Any, key: jax.Array, **changes: Any) -> "TrainState":
+        """The state after an update, with what it changes; all else stays."""
+        counters = {"environment": environment, "key": key, "update": self.update + 1}
+        return dataclasses.replace(self, **counters, **changes)
+
 
 Update = Callable[[Any, Any, TrainState], tuple[TrainState, Metrics]]
 

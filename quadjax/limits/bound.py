@@ -63,12 +63,9 @@ class LowerBound(NamedTuple):
 
 
 def lower_bound(problem: Problem, speed: float, longest: float) -> LowerBound:
-    """A lower bound of the time of every flight that never exceeds a speed.
+    """A lower bound of the time of every flight that never exceeds a speed, m/s.
 
-    Args:
-        problem: the flight.
-        speed: m/s.
-        longest: s, a time that some flight achieves; the bound is at most this.
+    It is at most ``longest``, s, a time that some flight achieves.
     """
     vehicle, name, stops = problem.params.vehicle, problem.model.name, problem.flight.stops
     if vehicle.residual is not None or name not in LARGEST_FORCES:
@@ -95,12 +92,9 @@ def lower_bound(problem: Problem, speed: float, longest: float) -> LowerBound:
 def make_course(
     points: Sequence[np.ndarray], start: np.ndarray | None = None, stops: bool = False
 ) -> Course:
-    """The legs between points to pass in order.
+    """The legs between points to pass in order: the corners (n, 3) of each gate's opening, m.
 
-    Args:
-        points: for each gate the corners (n, 3) of its opening, m; without the start.
-        start: (3,) m, where the flight begins at rest; None for a periodic one.
-        stops: whether the flight ends at rest.
+    A flight begins at rest at ``start`` (3,); None: a periodic one. It ``stops`` at rest, or not.
     """
     count = max(map(len, points))
     sets = np.stack([x[np.minimum(np.arange(count), len(x) - 1)] for x in points])

@@ -79,13 +79,8 @@ def solve(
 ) -> Solution:
     """Solve the nonlinear program on the mesh of an initial guess.
 
-    Args:
-        problem: the flight.
-        dynamics: of the problem.
-        guess: the initial guess, with the same number of intervals for each leg.
-        settings: margins, weights and limits.
-        stop: if set, the solver ends with its current iterate.
-        report: called at each iteration with the objective, s.
+    ``report`` gets the objective, s, of each iteration. If ``stop`` is set, the solver ends with
+    its current iterate.
     """
     program, (low, high), count = casadi.Opti(), problem.command_range, guess.intervals
     span, reserve = np.where(high > low, high - low, 1.0), settings.reserve
@@ -190,14 +185,10 @@ def bound(program: Any, expression: Any, low: Any, high: Any) -> None:
 
 
 def add_rules(program: Any, problem: Problem, position: Any, velocity: Any, margin: float) -> None:
-    """Gates at the ends of the legs; bounds, ground and speed at all nodes.
+    """Gates at the ends of the legs; bounds, ground and speed at all nodes (3, nodes), m and m/s.
 
-    Args:
-        program: gets the constraints.
-        problem: the flight.
-        position: (3, nodes) m.
-        velocity: (3, nodes) m/s.
-        margin: m, further distance from the edges of the openings, the bounds and the ground.
+    The ``margin``, m, is a further distance from the edges of the openings, the bounds and the
+    ground.
     """
     stops, nodes, legs = problem.flight.stops, position.shape[1], len(problem.order)
     count, (low, high) = (nodes - 1) // legs, problem.bounds[..., None]

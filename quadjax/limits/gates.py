@@ -45,11 +45,7 @@ class Gates:
 
 
 def gates_of(track: Track, radius: float = 0.0) -> Gates:
-    """The gates of a track, upright or tilted, rectangular or round.
-
-    Args:
-        track: the track.
-        radius: of the drone, m: openings are smaller by it on each side.
+    """The gates of a track, with openings that are smaller by a drone's radius, m, on each side.
 
     Raises:
         InputError: an opening is not wider than the drone.

@@ -167,12 +167,7 @@ def double(tree: Tree) -> Tree:
 
 
 def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = None) -> Problem:
-    """The time-optimal flight of a race.
-
-    Args:
-        choices: of the race.
-        params: of the race; training limits are ignored.
-        flight: what is flown; None: a periodic lap.
+    """The time-optimal flight of a race, a periodic lap by default; training limits are ignored.
 
     Raises:
         InputError: a rule that is not supported, or a gate that cannot be passed.

@@ -29,22 +29,14 @@ FASTER = 1.2  # times the top speed of the best known flight: default of the bou
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Result:
-    """The best known flight of a race.
-
-    Attributes:
-        config: of the race.
-        problem: what was solved.
-        best: the flight.
-        policy_lap: a policy's fastest lap, to compare; None: there is none.
-        policy_file: the policy's file.
-        bound: of the time of every flight below a speed; see ``bounded``.
-    """
+    """The best known flight of a race."""
 
     config: Config
-    problem: Problem
+    problem: Problem  # what was solved
     best: BestKnown
-    policy_lap: Trajectory | None = None
+    policy_lap: Trajectory | None = None  # a policy's fastest lap, to compare
     policy_file: str | None = None
+    # Of the time of every flight below a speed; see ``bounded``.
     bound: LowerBound = LowerBound(None, 0.0, "not computed")
 
     def bounded(self, speed: float | None = None) -> "Result":
@@ -128,9 +120,9 @@ class Result:
 
     def plot(self) -> Figure:
         """Path, speed, attitude and commands, and where the policy loses time."""
-        flights = {"best known": self.best.trajectory}
-        flights |= {} if self.policy_lap is None else {"policy": self.policy_lap}
-        return flights_figure(self.problem, self.config.track.gates, flights)
+        flights = {"best known": self.best.trajectory, "policy": self.policy_lap}
+        flown = {name: flight for name, flight in flights.items() if flight is not None}
+        return flights_figure(self.problem, self.config.track.gates, flown)
 
     def save(self, path: Path | str) -> None:
         """Write the flight as an ``.npz`` file, with the entries of ``to_json`` in ``meta``.
@@ -139,18 +131,16 @@ class Result:
         ``flown_position`` (m + 1, 3) and ``flown_command`` (m, commands) are of the verification,
         each command held for 1 ms.
         """
-        check = self.best.check
-        more = {"flown_position": check.position, "flown_command": check.commands}
-        more["leg_times"] = self.best.trajectory.leg_times
+        check, more = self.best.check, {"leg_times": self.best.trajectory.leg_times}
+        more |= {"flown_position": check.position, "flown_command": check.commands}
         save([self.flight()], path, more, **self.to_json())
 
     def flight(self) -> recorded.Flight:
         """The best known flight; a periodic one can be repeated."""
-        periodic = self.problem.periodic
+        periodic, gates = self.problem.periodic, self.config.track.gates
         note = "best known lap, flying start" if periodic else "best known flight from hover"
-        facts: dict[str, Any] = {"periodic": periodic, "note": note}
-        gates, model = self.config.track.gates, self.problem.model
-        return self.best.trajectory.flight("best known", model, gates, **facts)
+        source: dict[str, Any] = {"periodic": periodic, "note": note}
+        return self.best.trajectory.flight("best known", self.problem.model, gates, **source)
 
 
 def best_known(
@@ -204,15 +194,14 @@ def read_guess(problem: Problem, path: Path | str) -> Trajectory:
     leg_times = np.diff(flight.passages[:, 0], prepend=0.0)
     legs, nodes = len(problem.order), len(flight.time)
     sizes = 3, 3, 3, 3, len(problem.start) - 13, len(problem.command_range[0])
-    if leg_times.shape != (legs,) or nodes < 2 or (nodes - 1) % legs:
+    if leg_times.shape != (legs,) or leg_times.min() <= 0.0 or nodes < 2 or (nodes - 1) % legs:
         text = f"a flight of {len(leg_times)} legs and {nodes} nodes"
         raise InputError(f"{path}: {text}, expected {legs} legs with as many intervals each")
     for name, size in zip(SIMULATED, sizes, strict=True):
-        shape = flight[name].shape if name in flight.signals else ()
-        if shape != (nodes, size):
-            raise InputError(f"{path}: {name} has the shape {shape}, expected {(nodes, size)}")
-        if not np.isfinite(flight[name]).all() or leg_times.min() <= 0.0:
-            raise InputError(f"{path}: {name} is not finite, or a leg's time is not above 0")
+        values = flight[name] if name in flight.signals else np.zeros(0)
+        if values.shape != (nodes, size) or not np.isfinite(values).all():
+            text = f"{name} has the shape {values.shape}"
+            raise InputError(f"{path}: {text}, expected finite numbers, {(nodes, size)}")
     *motion, actuators, commands = (flight[name] for name in SIMULATED)
     return Trajectory(leg_times, problem.vectors(motion, actuators), commands)
 

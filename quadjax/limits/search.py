@@ -51,10 +51,7 @@ class NotFoundError(Exception):
     def __init__(
         self, attempts: Mapping[str, str], flight: Trajectory | None = None, error: str = ""
     ) -> None:
-        """Name the guesses that were tried and their results.
-
-        ``flight`` is the last unverified solution, if any; ``error`` says why it is not verified.
-        """
+        """Name the guesses that were tried, and the last unverified solution with its error."""
         self.flight, self.error = flight, error
         tried = "; ".join(f"{guess}: {status}" for guess, status in attempts.items()) or "no time"
         text = f"no flight was found ({tried}); try more time (--seconds)"
@@ -73,14 +70,7 @@ class Search:
         stop: threading.Event | None = None,
         report: Callable[[str], object] = lambda text: None,
     ) -> None:
-        """Prepare a search.
-
-        Args:
-            problem: the flight.
-            seconds: limit of wall-clock time.
-            stop: if set, the search ends with the best so far.
-            report: called with one line on the progress.
-        """
+        """Prepare a search; see ``quadjax.limits.result.best_known``."""
         self.problem, self.stop, self.report = problem, stop or threading.Event(), report
         self.began, self.seconds = time.monotonic(), seconds
         self.dynamics = Dynamics(problem)

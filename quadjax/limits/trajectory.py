@@ -44,11 +44,7 @@ class Trajectory:
     ) -> Flight:
         """The trajectory as a flight: a sample for each node, a passage at the end of each leg.
 
-        Args:
-            name: of the flight.
-            model: of the vehicle.
-            gates: of the track, in order of passage.
-            **source: further facts.
+        Gates are those of the track, in order of passage; ``source`` has further facts.
         """
         x = self.states
         motion = x[:, POSITION], x[:, VELOCITY], euler_of(x), x[:, RATES]

@@ -55,14 +55,9 @@ _INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")
 
 
 def translate(function: Callable[..., jax.Array], *examples: np.ndarray) -> Callable[..., Any]:
-    """A JAX function of vectors for CasADi expressions.
+    """A JAX function of vectors, to a vector, as a function of CasADi columns to a column.
 
-    Args:
-        function: of vectors; its result is a vector. It is traced in float64.
-        examples: vectors of the sizes that ``function`` takes.
-
-    Returns:
-        A function of CasADi columns which returns a column.
+    It is traced in float64, with vectors of the sizes of ``examples``.
 
     Raises:
         InputError: on the call, an operation of ``function`` that is not supported.

@@ -97,20 +97,13 @@ def reference(
 def passages(
     gates: Gates, order: Iterable[int], position: np.ndarray, time_step: float, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """When and where a path passes gates, up to the first that it misses.
-
-    Args:
-        gates: of the track.
-        order: indices of the gates.
-        position: (n, 3) m.
-        time_step: s, between them.
-        tolerance: m, by which an edge of an opening may be missed.
+    """When and where a path passes gates, up to the first that it misses by a tolerance, m.
 
     Returns:
-        The times (passages,), s, where straight lines between the positions cross the planes of the
-        gates, and these places (passages, 3), m.
+        The times (passages,), s, where straight lines between positions (n, 3), m, ``time_step`` s
+        apart, cross the planes of the gates, and these places (passages, 3), m.
     """
-    times, places, step = [], [], 0
+    steps, places, step = [], [], 0
     for gate in order:
         ahead = (position[step:] - gates.position[gate]) @ gates.axes[gate, 0]
         (crossed,) = np.nonzero((ahead[:-1] < 0) & (ahead[1:] >= 0))
@@ -122,10 +115,10 @@ def passages(
         place = before + fraction * (after - before)
         if gates.clearance(gate, place) < -tolerance:
             break
-        times.append((step + index + fraction) * time_step)
+        steps.append(step + index + fraction)
         places.append(place)
         step += index + 1
-    return np.array(times), np.array(places).reshape(-1, 3)
+    return np.array(steps) * time_step, np.array(places).reshape(-1, 3)
 
 
 @functools.partial(jax.jit, static_argnames=("choices",))

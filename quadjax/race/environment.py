@@ -91,12 +91,12 @@ def transition(
     invalid = outcome.crashes[NOT_FINITE]
     drone = jax.tree.map(lambda new, old: jnp.where(invalid, old, new), after, state.drone)
     value = reward(Step(model, params, state, g, drone, outcome, action), choices.user_terms)
-    following = progressed(params, state, drone, outcome)
-    if params.battery is not None and state.battery is not None:
-        rpm, sent = drone.actuators, command(choices, params, action)
-        charged = advance_battery(params.battery, state.battery, rpm, sent)
-        following = following.replace(battery=charged)
+    following, battery = progressed(params, state, drone, outcome), state.battery
+    if params.battery is not None and battery is not None:
+        sent = command(choices, params, action)
+        battery = advance_battery(params.battery, battery, drone.actuators, sent)
     following = following.replace(
+        battery=battery,
         estimate=_estimate(choices, params, state, drone),
         action=None if state.action is None else applied(choices, action),
         past=push_past(state.past, state),
@@ -135,15 +135,17 @@ def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
     start at zero. The length of an episode stays.
     """
     pitch = math.degrees(model.pitch_limit)
-    limits = with_leaves(
-        params.training_limits,
-        gate_inflation=jnp.zeros(()),
-        pitch_deg=jnp.float32(pitch) if math.isfinite(pitch) else None,
-        roll_deg=None,
-        yaw_rate=None,
+    limits = {
+        "gate_inflation": jnp.zeros(()),
+        "pitch_deg": jnp.float32(pitch) if math.isfinite(pitch) else None,
+        "roll_deg": None,
+        "yaw_rate": None,
+    }
+    return params.replace(
+        training_limits=with_leaves(params.training_limits, **limits),
+        start=with_leaves(params.start, stagger_clocks=False),
+        tracks=None,
     )
-    start = with_leaves(params.start, stagger_clocks=False)
-    return params.replace(training_limits=limits, start=start, tracks=None)
 
 
 def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
@@ -174,16 +176,11 @@ def with_critic_constants(
     """The environment whose observation ends with the drawn constants, for the critic alone.
 
     An asymmetric actor-critic (Pinto et al., 2017, arXiv 1710.06542): the policy's network does not
-    take these numbers. Each is its relative error, divided by the largest one that is drawn.
-
-    Args:
-        environment: of the race, which draws constants.
-        spread: names of the drawn constants and the largest relative error of each; 1 where their
-            population has no such number.
+    take these numbers. ``spread`` has the names of drawn constants and the largest relative error
+    of each (1 where a population has no such number); observed are relative errors, divided by it.
     """
 
     def observe(params: RaceParams, state: RaceState) -> jax.Array:
-        assert state.constants is not None
         constants, nominal = values_of(state.constants), values_of(params.vehicle.constants)
         errors = []
         for name, largest in spread:

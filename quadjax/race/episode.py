@@ -41,24 +41,28 @@ def draw_start(model: VehicleModel, key: jax.Array, constants: int = 0) -> Draws
 
 
 def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
-    """A random start.
+    """A random start, on one of the random tracks where there are any, each with the same chance.
 
     Raises:
         InputError: ``params`` has both random tracks and headings. Headings are defined for
             ``params.track`` only.
     """
-    track = _draw_track(params, jax.random.fold_in(key, TRACK))
-    params = params.on_track(track)
-    model, ranges = choices.model, params.start
+    track, ranges = None, params.start
+    if params.tracks is not None:
+        if params.heading is not None:
+            raise InputError("params.heading is set, allowed: None with params.tracks")
+        count = params.tracks.yaw.shape[0]
+        index = jax.random.randint(jax.random.fold_in(key, TRACK), (), 0, count)
+        track = jax.tree.map(lambda numbers: numbers[index], params.tracks)
+        params = params.on_track(track)
     size = len(jax.tree.leaves(params.vehicle.constants)) if choices.randomize else 0
-    draws = draw_start(model, key, size)
+    draws = draw_start(choices.model, key, size)
     constants = _draw_constants(choices, params, draws["constants"])
     nominal = params.vehicle.constants if constants is None else constants
-    drone, target = _draw_drone(model, params, nominal, draws, key)
+    drone, target = _draw_drone(choices.model, params, nominal, draws, key)
     battery, clock = None, jnp.zeros((), jnp.int32)
     if params.battery is not None:
-        rpm = drone.actuators
-        battery = draw_battery(params.battery, rpm, jax.random.fold_in(key, BATTERY))
+        battery = draw_battery(params.battery, drone.actuators, jax.random.fold_in(key, BATTERY))
     if ranges.stagger_clocks:
         steps = jnp.asarray(params.training_limits.episode_steps, draws["clock"].dtype)
         clock = (0.5 * (draws["clock"][0] + 1.0) * steps).astype(jnp.int32)
@@ -71,35 +75,20 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     return state.replace(step=clock, track=track)
 
 
-def _draw_track(params: RaceParams, key: jax.Array) -> Track | None:
-    """One of the random tracks, all with the same chance; None where there are none."""
-    tracks = params.tracks
-    if tracks is None:
-        return None
-    if params.heading is not None:
-        raise InputError("params.heading is set, allowed: None with params.tracks")
-    index = jax.random.randint(key, (), 0, tracks.yaw.shape[0])
-    return jax.tree.map(lambda numbers: numbers[index], tracks)
-
-
 def _draw_constants(choices: Choices, params: RaceParams, numbers: jax.Array) -> Constants | None:
-    """The constants of one episode, of numbers (n,) in [-1, 1]; None: those of ``params``."""
-    constants, constants_of_episode = params.vehicle.constants, None
+    """The constants of one episode, of numbers (n,) in [-1, 1]; None: those of ``params``.
+
+    Those of a population are between the nominal ones (width 0) and those of a drone (width 1).
+    """
+    constants, population = params.vehicle.constants, choices.population
     if params.mismatch is not None:
         constants = jax.tree.map(jnp.multiply, constants, params.mismatch)
-        constants_of_episode = constants
     if not choices.randomize:
-        return constants_of_episode
-    if choices.population is None:
+        return None if params.mismatch is None else constants
+    if population is None:
         return draw_constants(constants, params.randomization, numbers)
-    assert params.population_width is not None
-    drone = choices.model.populations[choices.population](constants, numbers)
-    return interpolate(constants, drone, params.population_width)
-
-
-def interpolate(nominal: Constants, drone: Constants, width: jax.Array) -> Constants:
-    """Constants between the nominal ones (width 0) and those of a drone (width 1)."""
-    return jax.tree.map(lambda x, other: x + width * (other - x), nominal, drone)
+    width, drone = params.population_width, choices.model.populations[population]
+    return jax.tree.map(lambda x, y: x + width * (y - x), constants, drone(constants, numbers))
 
 
 def draw_constants(nominal: Constants, spread: Constants, numbers: jax.Array) -> Constants:
@@ -181,9 +170,9 @@ def _way(track: Track, target: jax.Array, fraction: jax.Array) -> Vec3:
     the leg as the length of its tangents. Its height lies between those of the gates. The curve
     from the start of a course has no tangent there.
     """
-    count = gate_count(track)
+    count, zero = gate_count(track), jnp.zeros_like(fraction)
     before, after = gate(track, (target + count - 1) % count), gate(track, target)
-    begin, heading = before.position, Vec3(before.cos_yaw, before.sin_yaw, jnp.zeros_like(fraction))
+    begin, heading = before.position, Vec3(before.cos_yaw, before.sin_yaw, zero)
     if not track.closed and track.start is not None:
         first = functools.partial(jnp.where, target == 0)
         begin = jax.tree.map(first, track.start.position, begin)
@@ -191,14 +180,12 @@ def _way(track: Track, target: jax.Array, fraction: jax.Array) -> Vec3:
     leg = after.position - begin
     length, left = safe_norm(leg), 1.0 - fraction
     leave, enter = length * fraction * left**2, -length * fraction**2 * left
-    arrival = Vec3(after.cos_yaw, after.sin_yaw, jnp.zeros_like(fraction))
+    arrival = Vec3(after.cos_yaw, after.sin_yaw, zero)
     return begin + leg * (fraction**2 * (3.0 - 2.0 * fraction)) + heading * leave + arrival * enter
 
 
 def hover(model: VehicleModel, c: Constants, track: Track, moved: jax.Array | None = None) -> State:
-    """At rest and level at the track's start, or at the last gate.
-
-    At the last gate the nose points toward the first gate.
+    """At rest and level at the track's start, or at the last gate, facing the first one.
 
     On the ground the actuators are at their lowest, elsewhere those of a hover. ``moved`` (3,) in
     [-1, 1] moves x, y and the yaw by ``AROUND_START`` and ``YAW_OF_START``, as the ground starts
@@ -225,14 +212,10 @@ def hover_start(
     start: RaceState | None = None,
     moved: jax.Array | None = None,
 ) -> RaceState:
-    """The start of a timed race: hover at the track's start, or the last gate.
+    """The start of a timed race: hover at the track's start, or the last gate; see ``hover``.
 
-    Args:
-        choices: of the race.
-        params: of the race.
-        start: its constants, disturbances and battery are used; None: nothing is drawn, and the
-            battery has the highest charge.
-        moved: (3,) numbers of a start around that place; see ``hover``.
+    The constants, disturbances and battery are those of ``start``; without one nothing is drawn,
+    and the battery has the highest charge.
     """
     model, constants = choices.model, None if start is None else start.constants
     drone = hover(model, constants or params.vehicle.constants, params.track, moved)
@@ -268,10 +251,9 @@ def no_action(choices: Choices, params: RaceParams) -> tuple[jax.Array, ...] | N
 
 
 def with_memory(choices: Choices, params: RaceParams, state: RaceState) -> RaceState:
-    """The state with its onboard memory (estimate, history) initialized.
+    """The state with a new estimate of the disturbance and a history full of this state.
 
-    A fresh estimate of the disturbance, where the race has an estimator; a history full of this
-    state, where one is observed.
+    Each where the race has one.
     """
     state = state.replace(past=begin_past(choices.layout, state))
     if params.estimator is None:

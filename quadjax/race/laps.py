@@ -13,7 +13,6 @@ from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.core.gradients import Scalar
-from quadjax.core.vectors import Vec3
 from quadjax.race import environment, episode
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.rules import terminations_of
@@ -84,7 +83,7 @@ class Laps:
         def number(x: float) -> float | None:
             return round(float(x), 4) if np.isfinite(x) else None
 
-        completed = self.laps_completed()
+        ends = zip(self.laps_completed().tolist(), self.seconds, self.crashes, strict=True)
         last_lap = {"last_lap_gates": self.last_gates} if self.last_gates else {}
         return last_lap | {
             "laps": [[number(x) for x in run] for run in self.lap_times],
@@ -92,13 +91,8 @@ class Laps:
             "finished": self.finished,
             "runs": len(self.crashes),
             "crashes": [
-                {
-                    "run": run,
-                    "lap": int(completed[run]) + 1,
-                    "seconds": number(self.seconds[run]),
-                    "reason": reason,
-                }
-                for run, reason in enumerate(self.crashes)
+                {"run": run, "lap": laps + 1, "seconds": number(seconds), "reason": reason}
+                for run, (laps, seconds, reason) in enumerate(ends)
                 if reason
             ],
         }
@@ -145,10 +139,9 @@ def starting_states(
     """
 
     def one(key: jax.Array) -> RaceState:
-        start = environment.reset(choices, params, key)
+        start = episode.reset(choices, params, key)
         if not from_hover:
-            zero = jnp.zeros((), jnp.int32)
-            return start.replace(step=zero, gates_passed=zero)
+            return start.replace(step=jnp.zeros((), jnp.int32))
         moved = episode.draw(jax.random.fold_in(key, episode.AROUND_HOVER), 3) if around else None
         return episode.hover_start(choices, params, start, moved)
 
@@ -162,7 +155,7 @@ def advance(
     action: jax.Array,
     last: int | None = None,
 ) -> LapState:
-    """One step of one drone; a race that is over does not change. ``last``: see ``score``."""
+    """One step of one drone; see ``score``."""
     following, _, outcome = environment.transition(choices, params, race.state, action)
     gates = gate_count(params.track)
     return score(race, following, outcome, params.rules.time_step, gates, last)
@@ -182,22 +175,20 @@ def score(
         race: before the step; one that is over does not change.
         following: the state after it.
         outcome: events of the step.
-        dt: () s, of a step.
+        dt: () duration of a step, s.
         gates: of the track.
         last: number of gates after which the race ends within a lap; None: with a lap.
     """
-    laps = race.lap_end.shape[0]
-    passed = following.gates_passed - race.state.gates_passed
-    lap = (following.gates_passed - 1) // gates
-    complete = following.gates_passed % gates == 0
+    passed = following.gates_passed
+    lap, complete = (passed - 1) // gates, passed % gates == 0
     if last is not None:
-        complete = complete | (following.gates_passed == last)
+        complete = complete | (passed == last)
     if outcome.finished is not None:  # a start in the middle of a course has fewer gates
         complete, lap = outcome.finished, jnp.zeros_like(lap)
-    ended = (passed > 0) & complete & ~race.over
+    ended = (passed > race.state.gates_passed) & complete & ~race.over
     # A start in the middle of the track has its lap where its gates add up to one.
     now = jnp.asarray(following.step, jnp.result_type(dt)) * dt
-    lap_end = jnp.where(ended & (jnp.arange(laps) == lap), now, race.lap_end)
+    lap_end = jnp.where(ended & (jnp.arange(race.lap_end.shape[0]) == lap), now, race.lap_end)
     crashed = outcome.crashed & ~race.over
     crash = jnp.where(crashed, outcome.crash, race.crash)
     over = race.over | crashed | (lap_end[-1] > 0)
@@ -208,8 +199,8 @@ def score(
 def begin(state: RaceState, laps: int) -> LapState:
     """Drones before a race of some laps, batched along the last axis."""
     runs = state.step.shape[-1]
-    over, crash = jnp.zeros(runs, bool), jnp.zeros(runs, jnp.int32)
-    return LapState(state, jnp.zeros((laps, runs)), over, crash)
+    none = jnp.zeros(runs, bool), jnp.zeros(runs, jnp.int32)
+    return LapState(state, jnp.zeros((laps, runs)), *none)
 
 
 @functools.partial(jax.jit, static_argnames=("choices", "actor", "laps", "steps", "trace", "last"))
@@ -240,8 +231,8 @@ def fly_race(
         following, action = one(carry)
         return following, _trace(choices, params, carry[0], action)
 
-    (race, _), kept = jax.lax.scan(record, carry, None, steps)
-    return race, kept
+    (race, _), recorded = jax.lax.scan(record, carry, None, steps)
+    return race, recorded
 
 
 def stepper(
@@ -268,24 +259,13 @@ def stepper(
 
 def _trace(choices: Choices, params: RaceParams, race: LapState, action: jax.Array) -> Trace:
     drone, battery = race.state.drone, race.state.battery
-
-    def rows(vector: Vec3) -> jax.Array:
-        return jnp.stack(jax.tree.leaves(vector))
-
-    command = jax.vmap(
-        lambda a: jnp.stack(jax.tree.leaves(environment.command(choices, params, a))), out_axes=-1
-    )(action)
-    return Trace(
-        position=rows(drone.position),
-        velocity=rows(drone.velocity),
-        euler=rows(drone.angles),
-        rates=rows(drone.rates),
-        actuators=rows(drone.actuators),
-        command=command,
-        target=race.state.target,
-        over=race.over,
-        highest_rpm=None if battery is None else battery.estimate.highest,
-    )
+    command = jax.vmap(functools.partial(environment.command, choices, params), out_axes=-1)
+    signals = drone.position, drone.velocity, drone.angles, drone.rates, drone.actuators
+    rows = (jnp.stack(jax.tree.leaves(signal)) for signal in (*signals, command(action)))
+    position, velocity, euler, rates, actuators, sent = rows
+    highest = None if battery is None else battery.estimate.highest
+    motion = position, velocity, euler, rates
+    return Trace(*motion, actuators, sent, race.state.target, race.over, highest)
 
 
 def fly_laps(
@@ -300,11 +280,11 @@ def fly_laps(
     trace: bool = False,
     gates: int | None = None,
 ) -> tuple[Laps, Trace | None]:
-    """Fly a timed race by the exact rules.
+    """Fly a timed race by the exact rules, without gate inflation and training limits.
 
     Args:
         choices: static settings of the race.
-        params: its numbers; gate inflation and training limits are removed.
+        params: its numbers.
         actor: ``(policy, observation (k,), noise (a,)) -> action (a,)`` of one drone, with
             ``a`` the vehicle model's ``action_size``; static.
         policy: the first argument of the actor, a pytree.
@@ -318,18 +298,14 @@ def fly_laps(
     Returns:
         The result, and the trace if ``trace`` is true.
     """
-    length = race_length(params.track, laps, gates)
-    laps = math.ceil(length)
+    length, last = race_length(params.track, laps, gates), last_gate(params.track, gates)
     params = environment.exact_rules(choices.model, params)
     start_key, noise_key = jax.random.split(key)
     states = starting_states(choices, params, start_key, runs, from_hover)
-    steps = step_limit(params, length)
-    last = last_gate(params.track, gates)
-    race, kept = fly_race(
-        choices, actor, laps, steps, trace, params, policy, states, noise_key, last
-    )
+    sizes = math.ceil(length), step_limit(params, length), trace
+    race, recorded = fly_race(choices, actor, *sizes, params, policy, states, noise_key, last)
     result = laps_of(choices, race, float(params.rules.time_step), time_limit(params.track, length))
-    return dataclasses.replace(result, last_gates=(gates or 0) % gate_count(params.track)), kept
+    return dataclasses.replace(result, last_gates=(gates or 0) % gate_count(params.track)), recorded
 
 
 def race_length(track: Track, laps: int, gates: int | None = None) -> float:

@@ -53,9 +53,9 @@ class Field:
     @property
     def labels(self) -> tuple[str, ...]:
         """A name for each number: ``name[0]`` .., or ``name`` alone."""
-        return (
-            tuple(f"{self.name}[{i}]" for i in range(self.size)) if self.size > 1 else (self.name,)
-        )
+        if self.size == 1:
+            return (self.name,)
+        return tuple(f"{self.name}[{i}]" for i in range(self.size))
 
     def numbers(self, step: Step) -> list[jax.Array]:
         """The field's network inputs, after scaling."""
@@ -63,17 +63,15 @@ class Field:
         values = user_numbers(f"observation field {self.name!r}", self.value, step, self.size)
         if self.scale is None:
             return values
-        low, high = self.scale(step.model, step.params)
-        highs = jax.tree.leaves(high)
-        if low is None:
-            pairs = zip(values, highs, strict=True)
-            return [jnp.where(h > 0, x / jnp.where(h > 0, h, 1.0), 0.0) for x, h in pairs]
-        triples = zip(values, jax.tree.leaves(low), highs, strict=True)
-        return [scale_to_unit(x, lowest, highest) for x, lowest, highest in triples]
+        low, high = map(jax.tree.leaves, self.scale(step.model, step.params))
+        low = low or [None] * len(high)
+        return [scale_to_unit(*x) for x in zip(values, low, high, strict=True)]
 
 
-def scale_to_unit(value: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """Map [low, high] to [-1, 1]; zero if the range has no width."""
+def scale_to_unit(value: jax.Array, low: jax.Array | None, high: jax.Array) -> jax.Array:
+    """Map [low, high], or [-high, high], to [-1, 1]; zero if the range has no width."""
+    if low is None:
+        return jnp.where(high > 0, value / jnp.where(high > 0, high, 1.0), 0.0)
     width = high - low
     return (2.0 * value - low - high) / jnp.where(width == 0, jnp.inf, width)
 
@@ -128,8 +126,7 @@ class Layout:
     @property
     def counts_steps(self) -> bool:
         """Whether a field is of an earlier step: a history, or the last action."""
-        parts = map(split_name, self.names)
-        return any(lag or name == LAST_ACTION for name, lag in parts)
+        return any(lag or name == LAST_ACTION for name, lag in map(split_name, self.names))
 
     def __contains__(self, name: str) -> bool:
         return name in self.names
@@ -139,9 +136,8 @@ class Layout:
 
     def slice(self, name: str) -> slice:
         """Where a field's numbers are in the observation."""
-        index = self.names.index(name)
-        start = sum(field.size for field in self.fields[:index])
-        return slice(start, start + self.fields[index].size)
+        start = sum(field.size for field in self.fields[: self.names.index(name)])
+        return slice(start, start + self[name].size)
 
     def numbers(self, step: Step) -> list[jax.Array]:
         """All numbers of one observation, each ()."""
@@ -153,17 +149,15 @@ class Layout:
         def spans(field: Field) -> Field:
             if field.scale is None:
                 return field
-            low, high = field.scale(model, params)
-            highs = [float(x) for x in jax.tree.leaves(high)]
-            lows = [-x for x in highs] if low is None else [float(x) for x in jax.tree.leaves(low)]
-            return dataclasses.replace(field, span=tuple(zip(lows, highs, strict=True)))
+            low, high = (list(map(float, jax.tree.leaves(x))) for x in field.scale(model, params))
+            low = low or [-x for x in high]
+            return dataclasses.replace(field, span=tuple(zip(low, high, strict=True)))
 
         return Layout(tuple(map(spans, self.fields)))
 
     def to_meta(self) -> list[dict[str, object]]:
         """The layout as JSON takes it; ``from_meta`` reads it back."""
-        keys = StoredField.model_fields
-        return [{key: getattr(field, key) for key in keys} for field in self.fields]
+        return [{x: getattr(field, x) for x in StoredField.model_fields} for field in self.fields]
 
     @staticmethod
     def from_meta(value: object, where: str) -> "Layout":

@@ -123,12 +123,8 @@ PUBLISHED = Observation()
 # Values: functions of the step, whose state and gate are those that are observed.
 
 
-def _position(step: Step) -> Numbers:
-    return to_gate_frame(step.gate, step.position - step.gate.position).components()
-
-
-def _velocity(step: Step) -> Numbers:
-    return to_gate_frame(step.gate, step.velocity).components()
+def _in_gate(step: Step, vector: Vec3) -> Numbers:
+    return to_gate_frame(step.gate, vector).components()
 
 
 def _attitude(step: Step) -> Numbers:
@@ -141,12 +137,8 @@ def _rotation(step: Step) -> Numbers:
     """The body's x axis (front) and z axis (down) in the gate's frame."""
     g = step.gate
     zero, one = jnp.zeros_like(g.yaw), jnp.ones_like(g.yaw)
-    axes = (
-        Vec3(g.cos_yaw, g.sin_yaw, zero),
-        Vec3(-g.sin_yaw, g.cos_yaw, zero),
-        Vec3(zero, zero, one),
-    )
-    in_body = [step.drone.to_body(axis) for axis in axes]
+    rows = (g.cos_yaw, g.sin_yaw, zero), (-g.sin_yaw, g.cos_yaw, zero), (zero, zero, one)
+    in_body = [step.drone.to_body(Vec3(*row)) for row in rows]
     return [axis.x for axis in in_body] + [axis.z for axis in in_body]
 
 
@@ -173,15 +165,10 @@ def _beyond(count: int) -> tuple[Field, Field]:
     )
 
 
-def _actuators(step: Step) -> Numbers:
-    return jax.tree.leaves(step.drone.actuators)
-
-
 def _last_action(step: Step) -> Numbers:
-    """The command of the step before, which ``_command_bounds`` scales to the action."""
+    """The command of the step before, which the range of commands scales to the action."""
     assert step.state.action is not None
-    ends = step.model.command_range(step.params.vehicle.constants)
-    low, high = (jax.tree.leaves(end) for end in ends)
+    low, high = map(jax.tree.leaves, _command_range(step.model, step.params))
     return [between(*x) for x in zip(low, high, step.state.action, strict=True)]
 
 
@@ -195,7 +182,7 @@ def _constants(step: Step) -> Numbers:
     return jax.tree.leaves(nominal if unknown else drawn)
 
 
-def _disturbance(source: str, step: Step) -> tuple[Vec3, Vec3]:
+def _disturbance(source: Source, step: Step) -> tuple[Vec3, Vec3]:
     """The external moment, N m, and specific force, m/s^2, body, as they are observed."""
     if source == ESTIMATED:
         assert step.state.estimate is not None
@@ -203,11 +190,11 @@ def _disturbance(source: str, step: Step) -> tuple[Vec3, Vec3]:
     return (Vec3.zero(), Vec3.zero()) if source == NONE else step.drone.disturbance
 
 
-def _highest_rpm(source: str, step: Step) -> Numbers:
+def _highest_rpm(source: Source, step: Step) -> Numbers:
     """The highest propeller speed (), rpm, that the battery permits; full speed for ``none``."""
     battery, params = step.state.battery, step.params.battery
     if source == NONE:
-        return _limit_bounds(step.model, step.params)[1]
+        return _limit_range(step.model, step.params)[1]
     assert battery is not None and params is not None
     if source == ESTIMATED:
         return (battery.estimate.highest,)
@@ -218,32 +205,16 @@ def _highest_rpm(source: str, step: Step) -> Numbers:
 # Scales: of the nominal drone, as drawn constants are not known to a policy.
 
 
-def _actuator_bounds(span: Span | None, model: VehicleModel, params: RaceParams) -> Bounds:
-    if span is None:
-        return model.actuator_range(params.vehicle.constants)
-    low, high = ((jnp.float32(end),) * model.actuators.size for end in span)
-    return low, high
-
-
-def _command_bounds(model: VehicleModel, params: RaceParams) -> Bounds:
+def _command_range(model: VehicleModel, params: RaceParams) -> Bounds:
     return model.command_range(params.vehicle.constants)
 
 
-def _limit_bounds(model: VehicleModel, params: RaceParams) -> Bounds:
-    highest = jax.tree.leaves(_command_bounds(model, params)[1])[0]
+def _limit_range(model: VehicleModel, params: RaceParams) -> Bounds:
+    highest = jax.tree.leaves(_command_range(model, params)[1])[0]
     return (LOWEST * highest,), (highest,)
 
 
-def _moment_bounds(model: VehicleModel, params: RaceParams) -> Bounds:
-    width = params.observed_disturbance
-    return None, (width.moment_x, width.moment_y, width.moment_z)
-
-
-def _force_bounds(model: VehicleModel, params: RaceParams) -> Bounds:
-    return None, (params.observed_disturbance.force_z,)
-
-
-def _constant_bounds(model: VehicleModel, params: RaceParams) -> Bounds:
+def _constant_range(model: VehicleModel, params: RaceParams) -> Bounds:
     """The nominal constants minus and plus the drawn differences.
 
     Of a population, whose limits are not known, the constants minus and plus their size.
@@ -261,8 +232,8 @@ NEXT_FIELDS = tuple(_beyond(count) for count in range(2, MOST_AHEAD + 1))
 OBSERVATIONS: Mapping[str, Field] = {  # of every model, by name; ``fields_of`` adds those of one
     field.name: field
     for field in (
-        Field("position", 3, "m", "gate", 8.0, _position),
-        Field("velocity", 3, "m/s", "gate", 16.0, _velocity),
+        Field("position", 3, "m", "gate", 8.0, lambda s: _in_gate(s, s.position - s.gate.position)),
+        Field("velocity", 3, "m/s", "gate", 16.0, lambda step: _in_gate(step, step.velocity)),
         Field("attitude", 3, "rad", "gate", 4.0, _attitude),
         Field("rotation", 6, "", "gate", 2.0, _rotation),
         Field("rates", 3, "rad/s", "body", 16.0, lambda step: step.body_rates.components()),
@@ -280,27 +251,38 @@ DISTURBANCES = {"moment_ext": ("moment_x", "moment_y", "moment_z"), "force_ext":
 def fields_of(model: VehicleModel, observed: Observation = PUBLISHED) -> Mapping[str, Field]:
     """Every field that a race of a vehicle model can give, by name.
 
-    Args:
-        model: its actuators are one field.
-        observed: sources of the disturbances and of the battery's limit, range of the actuators.
+    Its actuators are one. ``observed`` says where disturbances and the battery's limit come from.
     """
-    signal, source, partial = model.actuators, observed.disturbance, functools.partial
-    highest, actuators = partial(_highest_rpm, observed.highest_rpm), observed.actuator_range
+    source, span, size = observed.disturbance, observed.actuator_range, model.actuators.size
+    highest = functools.partial(_highest_rpm, observed.highest_rpm)
 
-    def moment(step: Step) -> Numbers:
-        return _disturbance(source, step)[0].components()
+    def actuator_range(model: VehicleModel, params: RaceParams) -> Bounds:
+        if span is None:
+            return model.actuator_range(params.vehicle.constants)
+        return (jnp.float32(span[0]),) * size, (jnp.float32(span[1]),) * size
 
-    def force(step: Step) -> Numbers:
-        return (_disturbance(source, step)[1].z,)
+    def external(name: str, unit: str, index: int, axes: str) -> Field:
+        keys = DISTURBANCES[name]
+
+        def value(step: Step) -> Numbers:
+            return [getattr(_disturbance(source, step)[index], axis) for axis in axes]
+
+        def width(_: VehicleModel, params: RaceParams) -> Bounds:
+            return None, [getattr(params.observed_disturbance, key) for key in keys]
+
+        return Field(name, len(axes), unit, "body", 2.0, value, width, source)
+
+    def actuators(step: Step) -> Numbers:
+        return jax.tree.leaves(step.drone.actuators)
 
     constants = len(model.constant_names)
     fields = [
-        Field(*signal, "body", 2.0, _actuators, partial(_actuator_bounds, actuators)),
-        Field(LAST_ACTION, model.action_size, "", "", 1.0, _last_action, _command_bounds),
-        Field(HIGHEST_RPM, 1, "rpm", "body", 2.0, highest, _limit_bounds),
-        Field(CONSTANTS, constants, "", "", 8.0, _constants, _constant_bounds),
-        Field("moment_ext", 3, "N m", "body", 2.0, moment, _moment_bounds, source),
-        Field("force_ext", 1, "m/s^2", "body", 2.0, force, _force_bounds, source),
+        Field(*model.actuators, "body", 2.0, actuators, actuator_range),
+        Field(LAST_ACTION, model.action_size, "", "", 1.0, _last_action, _command_range),
+        Field(HIGHEST_RPM, 1, "rpm", "body", 2.0, highest, _limit_range),
+        Field(CONSTANTS, constants, "", "", 8.0, _constants, _constant_range),
+        external("moment_ext", "N m", 0, "xyz"),
+        external("force_ext", "m/s^2", 1, "z"),
     ]
     return {**OBSERVATIONS, **{field.name: field for field in fields}}
 

@@ -10,10 +10,9 @@ import math
 from typing import Annotated
 
 import numpy as np
-from pydantic import model_validator
 
 from quadjax.core.errors import InputError
-from quadjax.core.sections import Field, Section
+from quadjax.core.sections import ORDERED, Field, Section, model_validator
 from quadjax.core.yaml_files import Tree
 
 Length = Annotated[float, Field(gt=0, le=1000)]
@@ -30,7 +29,7 @@ class RandomTrack(Section):
 
     seed: int = Field(0, ge=0, le=2**31 - 1, description="seed of all random numbers of the track")
     gates: int = Field(8, ge=3, le=100, description="number of gates")
-    leg: tuple[Length, Length] = Field(
+    leg: Annotated[tuple[Length, Length], ORDERED] = Field(
         (3.0, 8.0), description="shortest and longest horizontal distance to the next gate, m"
     )
     turn_deg: float = Field(
@@ -50,7 +49,7 @@ class RandomTrack(Section):
         description="largest angle between a gate and the mean of the directions to and from it; "
         f"both directions stay within {ACROSS:g} deg of the gate's",
     )
-    height: tuple[Length, Length] = Field(
+    height: Annotated[tuple[Length, Length], ORDERED] = Field(
         (1.2, 2.5), description="lowest and highest center of a gate above ground, m"
     )
     size: tuple[Length, Length] = Field(
@@ -62,20 +61,16 @@ class RandomTrack(Section):
 
     @model_validator(mode="after")
     def _check(self) -> "RandomTrack":
-        low, high = self.height
-        for key, (lowest, highest) in (("leg", self.leg), ("height", self.height)):
-            if lowest > highest:
-                raise ValueError(f"{key} is {[lowest, highest]}, allowed: [lowest, highest]")
         if self.leg_ratio is not None and self.leg[1] <= self.leg_ratio * self.leg[0]:
             raise ValueError(
                 f"leg_ratio is {self.leg_ratio:g}, allowed with leg {list(self.leg)}: less than "
                 "their ratio, or null"
             )
         outer = [side + 2.0 * self.frame for side in self.size]
-        if low < 0.5 * outer[1]:
+        if self.height[0] < 0.5 * outer[1]:
             raise ValueError(
-                f"height is {[low, high]}, allowed: at least {0.5 * outer[1]:g}, half of the height"
-                " of a gate with its frame"
+                f"height is {list(self.height)}, allowed: at least {0.5 * outer[1]:g}, half of the "
+                "height of a gate with its frame"
             )
         if self.leg[1] < outer[0] + DEPTH:
             raise ValueError(

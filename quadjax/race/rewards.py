@@ -1,7 +1,7 @@
 """The reward: the table ``REWARDS`` of its terms, their weights, and how they are combined."""
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Annotated, Literal, NamedTuple
 
 import jax
@@ -13,7 +13,7 @@ from quadjax.core.sections import Field, Section, Unit
 from quadjax.core.traced import register
 from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.rules import HIT_A_GATE, body_radius
+from quadjax.race.rules import HIT_A_GATE
 from quadjax.race.step import Step, UserFunctions
 from quadjax.race.track import Gate, to_gate_frame, to_opening_frame
 
@@ -104,9 +104,8 @@ def clearance_violation(after: Vec3, g: Gate, margin: Scalar, reach: Scalar = 1.
     if g.circle is None:
         return width + height
     distance = safe_norm(relative.replace(x=jnp.zeros_like(relative.x)))
-    return jnp.where(
-        g.circle, jnp.clip(distance - (g.half_width - margin), 0.0, 2.0 * reach), width + height
-    )
+    radial = jnp.clip(distance - (g.half_width - margin), 0.0, 2.0 * reach)
+    return jnp.where(g.circle, radial, width + height)
 
 
 def gate_edge(step: Step) -> jax.Array:
@@ -116,7 +115,7 @@ def gate_edge(step: Step) -> jax.Array:
     ``rules.gate_frame``, touches the frame of any gate.
     """
     weights, inflation = step.params.reward, step.params.training_limits.gate_inflation
-    margin = weights.gate_edge_margin + body_radius(step)
+    margin = weights.gate_edge_margin + step.body_radius
     reach = jnp.maximum(weights.gate_edge_reach, inflation + margin)
     assert step.outcome is not None
     crossed = step.outcome.passed | step.outcome.crashes[HIT_A_GATE]
@@ -190,36 +189,30 @@ REWARDS: dict[str, Term] = {  # by the name of the weight
 }
 
 
-def terms_of(user: UserFunctions) -> Mapping[str, Term]:
-    """``REWARDS`` and a user's own terms, each checked to give one number."""
+def checked(name: str, term: Callable[[Step], jax.Array]) -> Term:
+    """A user's own term, which is checked to give one number."""
 
-    def checked(name: str, term: Callable[[Step], jax.Array]) -> Term:
-        def value(step: Step) -> jax.Array:
-            number = user_numbers(f"reward term {name}", term, step)[0]
-            return jnp.asarray(number, jnp.result_type(step.time_step))
+    def value(step: Step) -> jax.Array:
+        number = user_numbers(f"reward term {name}", term, step)[0]
+        return jnp.asarray(number, jnp.result_type(step.time_step))
 
-        return Term(value)
-
-    return REWARDS | {name: checked(name, term) for name, term in user}
+    return Term(value)
 
 
 def reward(step: Step, user: UserFunctions = ()) -> jax.Array:
     """The reward () of one step: the sum of its weighted terms; see ``Term``.
 
-    Args:
-        step: with its outcome and its action.
-        user: a user's terms, in addition to ``REWARDS``. A term without a weight is not computed.
+    The step has its outcome and its action. A user's terms are added to ``REWARDS``. A term without
+    a weight is not computed.
     """
-    section, outcome, terms = step.params.reward, step.outcome, terms_of(user)
+    section, outcome = step.params.reward, step.outcome
+    terms = REWARDS | {name: checked(name, term) for name, term in user}
     assert outcome is not None
-    weights: dict[str, Scalar | None] = {
-        name: getattr(section, name, section.terms.get(name)) for name in terms
-    }
 
     def total(when: str) -> Scalar:
         value: Scalar = 0.0
         for name, term in terms.items():
-            weight = weights[name]
+            weight = getattr(section, name, section.terms.get(name))
             if term.when == when and weight is not None:
                 value = value + weight * term.value(step)
         return value

@@ -14,7 +14,7 @@ from quadjax.core.sections import Field, Section, Unit
 from quadjax.core.traced import Traced, register
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.step import Outcome, Step, UserFunctions
-from quadjax.race.track import Gate, Span, Track, gate, gate_count, to_opening_frame
+from quadjax.race.track import Gate, Span, gate, gate_count, to_opening_frame
 from quadjax.vehicle.protocol import VehicleModel
 
 Rate = Annotated[float, Field(gt=0, le=1e6)]
@@ -126,18 +126,11 @@ def crossing(
 ) -> tuple[jax.Array, jax.Array]:
     """Whether a step passed the gate, and whether it hit it: two () bools.
 
-    A gate is crossed when the position goes from behind its plane to in front of it within one
-    step. It is passed if a point is within the opening: the first sample past the plane
-    (``square``, as in the paper, and ``world_box``, as in the authors' code: |dx|, |dy|, |dz| below
-    half a gate in world axes), or the point where the straight line between the two samples meets
-    the plane (``interpolated``).
-
-    Args:
-        before: position before the step, m, world.
-        after: position after it.
-        g: the target gate.
-        inflation: () m added to each side of the opening; negative narrows it.
-        test: ``square``, ``world_box`` or ``interpolated``; static.
+    A gate is crossed when the position, m, world, goes from behind its plane to in front of it
+    within one step. It is passed if a point is within the opening, which is wider by ``inflation``
+    (), m, on each side: the first sample past the plane (``square``, as in the paper, and
+    ``world_box``, as in the authors' code: |dx|, |dy|, |dz| below half a gate in world axes), or
+    the point where the straight line between the two samples meets the plane (``interpolated``).
     """
     relative = to_opening_frame(g, after - g.position)
     behind = to_opening_frame(g, before - g.position)
@@ -145,46 +138,13 @@ def crossing(
     if test == "world_box":
         offset, width = after - g.position, g.half_width + inflation
         inside = (jnp.abs(offset.x) < width) & (jnp.abs(offset.y) < width)
-        inside = inside & (jnp.abs(offset.z) < g.half_height + inflation)
+        inside &= jnp.abs(offset.z) < g.half_height + inflation
     elif test == "interpolated":
         fraction = -behind.x / jnp.where(crossed, relative.x - behind.x, 1.0)
         inside = inside_opening(behind + fraction * (relative - behind), g, inflation)
     else:
         inside = inside_opening(relative, g, inflation)
     return crossed & inside, crossed & ~inside
-
-
-def inside_frame(
-    position: Vec3,
-    track: Track,
-    width: Scalar,
-    depth: Scalar,
-    inflation: Scalar,
-    radius: Scalar = 0.0,
-) -> jax.Array:
-    """Whether a drone touches the solid frame of any gate, a () bool.
-
-    Args:
-        position: m, world.
-        track: all gates.
-        width: () m of the frames around the openings.
-        depth: () m of the frames, half of it on each side of the opening's plane.
-        inflation: () m by which openings are wider; the outer edges do not change.
-        radius: () m of the drone.
-    """
-    hit = jnp.zeros((), bool)
-    for index in range(gate_count(track)):
-        g = gate(track, index)
-        relative = to_opening_frame(g, position - g.position)
-        solid = ~inside_opening(relative, g, inflation - radius)
-        solid = solid & inside_opening(relative, g, width + radius)
-        hit = hit | (solid & (jnp.abs(relative.x) <= 0.5 * depth + radius))
-    return hit
-
-
-def body_radius(step: Step) -> Scalar:
-    """The radius of the drone, m: 0 for a point."""
-    return 0.0 if step.params.rules.body_radius is None else step.params.rules.body_radius
 
 
 def pass_or_hit(step: Step) -> tuple[jax.Array, jax.Array]:
@@ -196,13 +156,22 @@ def pass_or_hit(step: Step) -> tuple[jax.Array, jax.Array]:
 
 
 def hits_a_gate(step: Step) -> jax.Array:
-    """Whether the drone misses the opening of its gate, or touches a frame of any gate."""
-    rules, (_, hit) = step.params.rules, pass_or_hit(step)
+    """Whether the drone misses the opening of its gate, or touches a solid frame of any gate.
+
+    Wider openings of the training do not move the outer edges of the frames.
+    """
+    rules, track, (_, hit) = step.params.rules, step.params.track, pass_or_hit(step)
     if rules.gate_frame is None:
         return hit
     wider = jnp.maximum(step.params.training_limits.gate_inflation, 0.0)
-    solid = rules.gate_frame, rules.gate_depth, wider, body_radius(step)
-    return hit | inside_frame(step.position, step.params.track, *solid)
+    touched, radius = jnp.zeros((), bool), step.body_radius
+    for index in range(gate_count(track)):
+        g = gate(track, index)
+        relative = to_opening_frame(g, step.position - g.position)
+        solid = ~inside_opening(relative, g, wider - radius)
+        solid &= inside_opening(relative, g, rules.gate_frame + radius)
+        touched |= solid & (jnp.abs(relative.x) <= 0.5 * rules.gate_depth + radius)
+    return hit | touched
 
 
 def hits_the_ground(step: Step) -> jax.Array:
@@ -212,7 +181,7 @@ def hits_the_ground(step: Step) -> jax.Array:
     """
     rules, down = step.params.rules, step.position.z
     if rules.ground_speed is None:
-        return down > 0.0 - body_radius(step)  # 0.0 without a radius, not -0.0
+        return down > 0.0 - step.body_radius  # 0.0 without a radius, not -0.0
     fast = (down > -rules.ground_height) & (safe_norm(step.velocity) > rules.ground_speed)
     return fast | (down > BENEATH)
 
@@ -225,12 +194,12 @@ def exceeds(*pairs: tuple[jax.Array, Scalar | None]) -> jax.Array | None:
 
 def leaves_the_bounds(step: Step) -> jax.Array | None:
     """Whether |x|, |y| or the bounds of the race are exceeded."""
-    rules, position, radius = step.params.rules, step.position, body_radius(step)
-    far = exceeds(*((x, rules.position_limit) for x in (position.x, position.y)))
-    beyond = [] if far is None else [far]
+    rules, position, radius = step.params.rules, step.position, step.body_radius
+    beyond = exceeds(*((x, rules.position_limit) for x in (position.x, position.y)))
     for x, (low, high) in zip(position.components(), rules.bounds or (), strict=False):
-        beyond += [(x < low + radius) | (x > high - radius)]
-    return functools.reduce(jnp.logical_or, beyond) if beyond else None
+        outside = (x < low + radius) | (x > high - radius)
+        beyond = outside if beyond is None else beyond | outside
+    return beyond
 
 
 def turns_too_fast(step: Step) -> jax.Array | None:

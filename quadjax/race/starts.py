@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import jax
 from flax import struct
 
-from quadjax.core.sections import Field, Section, Unit
+from quadjax.core.sections import ORDERED, Field, Section, Unit
 from quadjax.core.traced import register
 from quadjax.race.random_track import RandomTracks
 from quadjax.race.track import Coordinate
@@ -57,7 +57,7 @@ class Start(Section):
     body_rates: Annotated[HalfWidth, Unit("1/s")] = Field(
         1.0, description="half-width of each component, rad/s"
     )
-    thrust: tuple[HalfWidth, HalfWidth] = Field(
+    thrust: Annotated[tuple[HalfWidth, HalfWidth], ORDERED] = Field(
         (7.4, 7.6), description="lowest and highest thrust, m/s^2; model rate"
     )
 

@@ -223,6 +223,11 @@ class Step(struct.PyTreeNode):
         return safe_norm(self.before.position - self.gate.position)
 
     @property
+    def body_radius(self) -> Scalar:
+        """Radius of the drone, m; 0 for a point."""
+        return 0.0 if self.params.rules.body_radius is None else self.params.rules.body_radius
+
+    @property
     def time_step(self) -> Scalar:
         """Duration of the step (), s."""
         return self.params.rules.time_step

@@ -10,12 +10,12 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.frames import Attitude, attitude, world_to_body, wrap_angle
-from quadjax.core.sections import Field, Section
+from quadjax.core.sections import ORDERED, Field, Section
 from quadjax.core.vectors import Vec3
 from quadjax.race.random_track import RandomTrack, RandomTracks, generate
 
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
-Span = tuple[Coordinate, Coordinate]
+Span = Annotated[tuple[Coordinate, Coordinate], ORDERED]
 AHEAD = 5.0  # m, from the last gate of a course to the gate that is observed after it
 STRAIGHT = 0.2  # below this sum of the sines of the turns at a leg's ends, the leg is straight
 

@@ -1,6 +1,6 @@
 """The battery: its charge, the highest propeller speed, and the onboard estimate of that."""
 
-from typing import Self
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from flax import struct
 
 from quadjax.core.filters import Scalar
 from quadjax.core.gradients import clip_inward
-from quadjax.core.sections import Field, Fraction, NonNegative, Positive, Section, model_validator
+from quadjax.core.sections import ORDERED, Field, Fraction, NonNegative, Positive, Section
 from quadjax.core.vectors import Rotors
 
 LOWEST = 0.75  # of the highest command: the lowest estimate, and what is observed as -1
@@ -25,18 +25,10 @@ class BatteryConfig(Section):
     resistance: NonNegative = Field(0.07, description="ohm, with leads and controllers; assumed")
     hover_current: NonNegative = Field(6.5, description="A: 11 minutes of hover")
     capacity: Positive = Field(1.2, description="Ah")
-    charge: tuple[Fraction, Fraction] = Field(
+    charge: Annotated[tuple[Fraction, Fraction], ORDERED] = Field(
         (0.6, 1.0), description="lowest, highest at the start"
     )
     rpm_full: Positive = Field(12000.0, description="rpm at the full voltage")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.charge[0] > self.charge[1]:
-            raise ValueError(
-                f"battery.charge is {list(self.charge)}, allowed: [lowest, highest], 0 to 1"
-            )
-        return self
 
 
 class BatteryParams(struct.PyTreeNode):
@@ -72,12 +64,8 @@ def highest_rpm(p: BatteryParams, rpm: Rotors, charge: jax.Array) -> jax.Array:
     and with the current through the battery's resistance (the linear part of Tremblay and
     Dessaint, "Experimental validation of a battery dynamic model for EV applications", World
     Electric Vehicle Journal 3, 2009). The current is proportional to the rotors' power, the cube of
-    their speed (Leishman, "Principles of helicopter aerodynamics", 2006, chapter 2).
-
-    Args:
-        p: of the battery.
-        rpm: propeller speeds, rpm.
-        charge: () left, 0 to 1.
+    their speed, rpm (Leishman, "Principles of helicopter aerodynamics", 2006, chapter 2). The
+    ``charge`` () left is 0 to 1.
     """
     left = 1.0 - p.strength * (p.drop * (1.0 - charge) + p.resistance * load(p, rpm))
     return jnp.where(p.strength > 0.0, p.rpm_full * left, jnp.inf)
@@ -143,13 +131,8 @@ def update(
 
     A motor of first order reaches the command ``rpm + lag rpm'``. Its low-pass is compared with
     that of the command limited to the estimate; where commands have been at the limit, the
-    difference corrects the estimate. Commands below the limit tell nothing of it.
-
-    Args:
-        params: see ``limit_estimator``.
-        state: from ``begin`` or the last ``update``.
-        rpm: measured speeds, rpm.
-        command: of the sample before, rpm.
+    difference corrects the estimate. Commands below the limit tell nothing of it. ``command`` is
+    that of the sample before, rpm.
     """
 
     def towards(past: Rotors, now: Rotors) -> Rotors:
@@ -172,6 +155,10 @@ class Battery(struct.PyTreeNode):
     estimator: LimitEstimatorParams
     time_step: jax.Array  # s
 
+    def full_power_limit(self, charge: jax.Array) -> jax.Array:
+        """The limit (), rpm, with all propellers at the highest command."""
+        return highest_rpm(self.cells, Rotors.same(self.estimator.highest), charge)
+
 
 class BatteryState(struct.PyTreeNode):
     """The battery of one drone."""
@@ -186,20 +173,14 @@ def draw_battery(params: Battery, rpm: Rotors, key: jax.Array) -> BatteryState:
     low, high = params.charge
     charge = low + (high - low) * part
     wrong = FIRST_ERROR * params.estimator.highest * (2.0 * error - 1.0)
-    first = full_power_limit(params, charge) + wrong
+    first = params.full_power_limit(charge) + wrong
     return BatteryState(charge, begin(params.estimator, rpm, first))
-
-
-def full_power_limit(params: Battery, charge: jax.Array) -> jax.Array:
-    """The limit (), rpm, with all propellers at the highest command."""
-    full = Rotors.same(params.estimator.highest)
-    return highest_rpm(params.cells, full, charge)
 
 
 def middle_limit(params: Battery) -> jax.Array:
     """The first estimate (), rpm, of a drone that does not know its charge."""
     low, high = params.charge
-    return full_power_limit(params, 0.5 * (low + high))
+    return params.full_power_limit(0.5 * (low + high))
 
 
 def battery_at_start(params: Battery, rpm: Rotors, state: BatteryState | None) -> BatteryState:
@@ -220,11 +201,7 @@ def advance_battery(
 ) -> BatteryState:
     """The battery a step later: its charge, and the estimate, through which no gradient flows.
 
-    Args:
-        params: of the battery.
-        state: before the step.
-        rpm: propeller speeds after the step, rpm.
-        command: within the nominal range, rpm.
+    Speeds are those after the step, rpm, commands within the nominal range, rpm.
     """
     rpm, command = jax.lax.stop_gradient((rpm, command))
     used = params.time_step * charge_rate(params.cells, rpm)

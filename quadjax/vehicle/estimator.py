@@ -71,16 +71,10 @@ def estimator_params(
     """
     assert model.can_be_disturbed, model.name
     filtered = butterworth(sample_rate, cutoff)
-    low_pass = filtered.forward
-    k = low_pass[0]
-    late = jnp.stack([jnp.zeros_like(k), 2.0 * k, 2.0 * k])
+    low_pass, k = filtered.forward, filtered.forward[0]
+    late = jnp.stack([jnp.zeros_like(k), 2.0 * k, 2.0 * k]) if explicit_euler else low_pass
     return EstimatorParams(
-        vehicle=vehicle,
-        feedback=filtered.feedback,
-        low_pass=low_pass,
-        low_pass_moment=late if explicit_euler else low_pass,
-        derivative=filtered.derivative,
-        model=model,
+        vehicle, filtered.feedback, low_pass, late, filtered.derivative, model=model
     )
 
 
@@ -99,11 +93,6 @@ def update(
     params: EstimatorParams, state: EstimatorState, measurement: Measurement
 ) -> tuple[EstimatorState, Vec3, Vec3]:
     """One sample of the estimator, of one drone.
-
-    Args:
-        params: see ``estimator_params``.
-        state: from ``init`` or the last ``update``.
-        measurement: this sample's.
 
     Returns:
         The new state, the external moment, N m, and the external specific force, m/s^2, both in

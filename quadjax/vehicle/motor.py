@@ -61,12 +61,7 @@ def nominal_moment(
 ) -> Vec3:
     """Nominal moment, N m, body frame; for NumPy arrays and linear as ``nominal_force``.
 
-    Args:
-        c: the constants.
-        rpm: propeller speeds, rpm.
-        rpm_rate: their derivatives, rpm/s.
-        body_velocity: m/s.
-        body_rates: rad/s.
+    Of propeller speeds, rpm, their derivatives, rpm/s, velocity, m/s, and body rates, rad/s.
     """
     s1, s2, s3, s4 = (rpm * rpm).components()
     imbalance = -rpm.w1 + rpm.w2 - rpm.w3 + rpm.w4

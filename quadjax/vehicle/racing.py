@@ -6,6 +6,7 @@ of the published code. Forces and moments are specific (no mass, no inertia), ro
 Rotors: 1 front-left, 2 front-right, 3 rear-right, 4 rear-left.
 """
 
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,7 +17,7 @@ from flax import struct
 from quadjax.core.gradients import bounded_sqrt
 from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Rotors, Vec3, between
-from quadjax.vehicle.constants import constant, constant_names, replaced, values_of
+from quadjax.vehicle.constants import constant, constant_names, from_values, values_of
 from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
 from quadjax.vehicle.rigid_body import BodyState
 
@@ -125,39 +126,34 @@ def hover_speed(c: RacingConstants) -> Rotors:
     return Rotors.of(jnp.clip(speed, c.w_min, c.w_max))
 
 
-# The distribution of "One Net to Rule Them All": lowest and highest values; k_w, k_p and k_q times
-# w_max^2, k_x, k_y, k_r and k_rd times w_max. Roll and pitch moments differ among the rotors.
+# The distribution of "One Net to Rule Them All": lowest and highest values, times a power of w_max.
+# Roll and pitch moments differ among the rotors.
 ALL_RACING_DRONES = {
-    "w_min": (0.0, 500.0),
-    "w_max": (3000.0, 5000.0),
-    "k": (0.0, 1.0),
-    "tau": (0.01, 0.1),
-    "k_w": (10.0, 30.0),
-    "k_x": (0.1, 0.3),
-    "k_y": (0.1, 0.3),
-    "k_r": (20.0, 80.0),
-    "k_rd": (2.0, 8.0),
-    "k_p": (200.0, 800.0),
-    "k_q": (200.0, 800.0),
+    "w_min": (0.0, 500.0, 0),
+    "w_max": (3000.0, 5000.0, 0),
+    "k": (0.0, 1.0, 0),
+    "tau": (0.01, 0.1, 0),
+    "k_w": (10.0, 30.0, 2),
+    "k_x": (0.1, 0.3, 1),
+    "k_y": (0.1, 0.3, 1),
+    "k_r": (20.0, 80.0, 1),
+    "k_rd": (2.0, 8.0, 1),
+    "k_p": (200.0, 800.0, 2),
+    "k_q": (200.0, 800.0, 2),
 }
 ROTOR_DIFFERENCE = 50.0
 
 
 def all_racing_drones(nominal: RacingConstants, numbers: jax.Array) -> RacingConstants:
     """A drone of ``ALL_RACING_DRONES``, of at least 19 numbers in [-1, 1]; ``g`` as given."""
-    count = len(ALL_RACING_DRONES)
-    values: dict[str, Any] = {
-        name: between(*span, numbers[index])
-        for index, (name, span) in enumerate(ALL_RACING_DRONES.items())
-    }
-    w = values["w_max"]
-    for name in ("k_w", "k_p", "k_q"):
-        values[name] = values[name] / (w * w)
-    for name in ("k_x", "k_y", "k_r", "k_rd"):
-        values[name] = values[name] / w
+    count, values = len(ALL_RACING_DRONES), dict[str, Any]()
+    for index, (name, (low, high, power)) in enumerate(ALL_RACING_DRONES.items()):
+        value = between(low, high, numbers[index])
+        values[name] = value / values["w_max"] ** power if power else value
     for axis, name in enumerate(("k_p", "k_q")):
         draws = (numbers[count + 4 * axis + rotor] for rotor in range(4))
-        values[name] = Rotors(*(values[name] + ROTOR_DIFFERENCE * x / (w * w) for x in draws))
+        widths = (ROTOR_DIFFERENCE * draw / values["w_max"] ** 2 for draw in draws)
+        values[name] = Rotors(*(values[name] + width for width in widths))
     for name in ("k_r", "k_rd"):
         values[name] = Rotors.same(values[name])
     return nominal.replace(**values)
@@ -176,27 +172,23 @@ MONORACE_ROBUST = {
 ROBUST_LAG = 0.025  # s, the time constant about which MONORACE_ROBUST draws
 
 
-def monorace_fastest(nominal: A2RLConstants, numbers: jax.Array) -> A2RLConstants:
-    """A drone of ``MONORACE_FASTEST``, of one number in [-1, 1] for each constant."""
-    return _scaled(nominal, MONORACE_FASTEST, numbers)
-
-
-def monorace_robust(nominal: A2RLConstants, numbers: jax.Array) -> A2RLConstants:
-    """A drone of ``MONORACE_ROBUST``, of one number in [-1, 1] for each constant."""
-    return _scaled(nominal.replace(tau=ROBUST_LAG), MONORACE_ROBUST, numbers)
-
-
 def _scaled(
-    nominal: A2RLConstants, fractions: Mapping[str, float], numbers: jax.Array
+    fractions: Mapping[str, float],
+    changes: Mapping[str, float],
+    nominal: A2RLConstants,
+    numbers: jax.Array,
 ) -> A2RLConstants:
-    """Constants, each times 1 +- the fraction of its group or of its own name."""
-    names, values = constant_names(A2RLConstants), values_of(nominal)
+    """Constants, each times 1 +- the fraction of its group or of its own name.
+
+    ``changes`` replace nominal constants by name; there is one number in [-1, 1] for each constant.
+    """
+    names, values = constant_names(A2RLConstants), values_of(nominal.replace(**changes))
     changed = {
         name: values[name] * (1.0 + fraction * numbers[names.index(name)])
         for key, fraction in fractions.items()
         for name in A2RL.groups.get(key, (key,))
     }
-    return replaced(nominal, changed)
+    return from_values(A2RLConstants, values | changed)
 
 
 class Racing(VehicleModel):
@@ -255,7 +247,10 @@ class A2RLRacing(Racing):
 
     name = "a2rl"
     constants = A2RLConstants
-    populations = {"monorace_fastest": monorace_fastest, "monorace_robust": monorace_robust}
+    populations = {
+        "monorace_fastest": functools.partial(_scaled, MONORACE_FASTEST, {}),
+        "monorace_robust": functools.partial(_scaled, MONORACE_ROBUST, {"tau": ROBUST_LAG}),
+    }
 
     def force_moment(self, params: VehicleParams, body: BodyState) -> tuple[Vec3, Vec3]:
         """Specific force, m/s^2, and angular acceleration, rad/s^2."""

@@ -55,13 +55,7 @@ def scale_residual(residual: Residual, gain: jax.Array) -> Residual:
 def residual_force_moment(
     residual: Residual, rpm: Rotors, body_velocity: Vec3, body_rates: Vec3
 ) -> tuple[jax.Array, Vec3]:
-    """What the networks add to the nominal model.
-
-    Args:
-        residual: the networks.
-        rpm: propeller speeds, rpm.
-        body_velocity: m/s, body frame.
-        body_rates: rad/s.
+    """What the networks add to the nominal model, of speeds in rpm, m/s and rad/s, body frame.
 
     Returns:
         The addition to the body-z specific force (), m/s^2, sign already applied, and to the
@@ -88,12 +82,8 @@ def to_arrays(residual: Residual) -> tuple[dict[str, np.ndarray], dict[str, floa
         for index, (kernel, bias) in enumerate(getattr(residual, name)):
             arrays[f"{name}_kernel_{index}"] = np.asarray(kernel, np.float32)
             arrays[f"{name}_bias_{index}"] = np.asarray(bias, np.float32)
-    numbers = {
-        "rpm_min": float(residual.rpm_min),
-        "rpm_max": float(residual.rpm_max),
-        "thrust_sign": int(residual.thrust_sign),
-    }
-    return arrays, numbers
+    numbers = {key: float(getattr(residual, key)) for key in ("rpm_min", "rpm_max")}
+    return arrays, numbers | {"thrust_sign": int(residual.thrust_sign)}
 
 
 def digest(residual: Residual) -> str:
@@ -154,27 +144,19 @@ def from_arrays(path: Path | str, arrays: dict[str, np.ndarray], meta: object) -
     """
     if not isinstance(meta, dict):
         raise InputError(f"{path}: a policy file without a residual")
-    networks = {}
+    networks: dict[str, Layers] = {}
     for name in SHAPES:
         layers = read_layers(path, arrays, f"{name}_")
         check_shape(path, name, layers)
-        networks[name] = tuple(
-            (jnp.asarray(k, jnp.float32), jnp.asarray(b, jnp.float32)) for k, b in layers
-        )
+        networks[name] = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), tuple(layers))
     rpm_min, rpm_max = (finite_number(path, meta, key, "meta ") for key in ("rpm_min", "rpm_max"))
     if not rpm_min < rpm_max:
         raise InputError(f"{path}: meta 'rpm_min' {rpm_min} is not below 'rpm_max' {rpm_max}")
-    if isinstance(meta.get("thrust_sign"), bool) or meta.get("thrust_sign") not in (1, -1):
-        raise InputError(
-            f"{path}: meta 'thrust_sign' is {meta.get('thrust_sign')!r}, allowed: [1, -1]"
-        )
-    return Residual(
-        thrust=networks["thrust"],
-        moment=networks["moment"],
-        rpm_min=jnp.float32(rpm_min),
-        rpm_max=jnp.float32(rpm_max),
-        thrust_sign=jnp.float32(meta["thrust_sign"]),
-    )
+    sign = meta.get("thrust_sign")
+    if isinstance(sign, bool) or sign not in (1, -1):
+        raise InputError(f"{path}: meta 'thrust_sign' is {sign!r}, allowed: [1, -1]")
+    numbers = map(jnp.float32, (rpm_min, rpm_max, sign))
+    return Residual(networks["thrust"], networks["moment"], *numbers)
 
 
 def finite_number(

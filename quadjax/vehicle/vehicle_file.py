@@ -88,9 +88,8 @@ def read_vehicle(name: str, folder: Path = Path()) -> VehicleFile:
         model: {key: finite_number(path, constants, key, f"{model}.") for key in constants}
         for model, constants in values["models"].items()
     }
-    numbers = {
-        key: finite_number(path, values, key) for key in NUMBERS if values.get(key) is not None
-    }
+    known = [key for key in NUMBERS if values.get(key) is not None]
+    numbers = {key: finite_number(path, values, key) for key in known}
     model = str(values["model"]) if "model" in values else None
     return VehicleFile(str(values["name"]), models, model, **numbers, path=path)
 
@@ -101,13 +100,9 @@ def write_vehicle(
     comment: str,
     notes: Mapping[str, Mapping[str, str]] | None = None,
 ) -> None:
-    """Write a vehicle file.
+    """Write a vehicle file with a comment at its head.
 
-    Args:
-        path: of the file.
-        vehicle: its content.
-        comment: at the head of the file.
-        notes: on constants, by model and name; a model that is not in them was not fitted.
+    ``notes`` are on constants, by model and name; a model that is not in them was not fitted.
     """
     keys = {key: getattr(vehicle, key) for key in KEYS if hasattr(vehicle, key)}
     present = {key: value for key, value in keys.items() if value is not None}
@@ -119,10 +114,6 @@ def vehicle_values(path: Path, tree: Tree) -> Tree:
 
     A constant that is a list of four has one value for each rotor, in the order of the file's key
     ``rotors``; it becomes four constants, whose names end in 1 to 4, in the order of ``ROTORS``.
-
-    Args:
-        path: the file, for messages.
-        tree: its keys: ``KEYS``, and a mapping of constants for each model.
 
     Raises:
         InputError: a value of the wrong kind.
@@ -149,34 +140,26 @@ def _with_rotors(values: Tree, order: list[str], where: str) -> Tree:
     numbers: Tree = {}
     for key, value in values.items():
         if not isinstance(value, list):
-            numbers.setdefault(key, value)
             continue
         if len(value) != len(ROTORS):
             raise InputError(f"{where}.{key} is {short(value)}, allowed: one value for each rotor")
+        if key == "turning" and not set(value) <= set(TURNING):
+            raise InputError(f"{where}.turning is {short(value)}, allowed: cw or ccw for each")
         for place, item in zip(order, value, strict=True):
-            if key == "turning" and item not in TURNING:
-                raise InputError(f"{where}.turning is {short(value)}, allowed: cw or ccw for each")
-            number = TURNING[item] if key == "turning" else item
             name = rotor_names(key)[ROTORS.index(place)]
-            numbers[name] = values.get(name, number)  # a name with a rotor's number has precedence
-    return numbers
+            numbers[name] = TURNING[item] if key == "turning" else item
+    # A name with a rotor's number has precedence.
+    return numbers | {key: x for key, x in values.items() if not isinstance(x, list)}
 
 
 def for_each_rotor(values: Tree, names: Collection[str]) -> Tree:
-    """Constants of a model, where a name without a rotor's number stands for all four rotors.
+    """Constants by name, where a name without a rotor's number stands for all four rotors.
 
-    Args:
-        values: constants by name.
-        names: of all constants of the model.
+    ``names`` are those of all constants of the model.
     """
-    expanded: Tree = {}
-    for key, value in values.items():
-        four = rotor_names(key)
-        if key not in names and set(four) <= set(names):
-            expanded |= {name: value for name in four if name not in values}
-        else:
-            expanded[key] = value
-    return expanded
+    shared = [key for key in values if key not in names and set(rotor_names(key)) <= set(names)]
+    four = {name: values[key] for key in shared for name in rotor_names(key)}
+    return four | {key: value for key, value in values.items() if key not in shared}
 
 
 def _text(
@@ -187,16 +170,15 @@ def _text(
 ) -> str:
     """The text of a vehicle file, with the constants of four rotors as a list."""
     lines = [*(f"# {line}" for line in comment.splitlines()), *to_yaml(keys).splitlines()]
-    if any(
-        len(names) > 1 for values in models.values() for names in _names_by_key(values).values()
-    ):
+    tables = {model: _names_by_key(values) for model, values in models.items()}
+    if any(len(names) > 1 for table in tables.values() for names in table.values()):
         lines.append(f"rotors: [{', '.join(ROTORS)}]")
     words = {number: word for word, number in TURNING.items()}
     for model, values in models.items():
         comments = {} if notes is None else notes.get(model, {})
         fitted = notes is None or model in notes
         lines.append(f"{model}:" + ("" if fitted else "  # not fitted: the base vehicle's"))
-        for key, names in _names_by_key(values).items():
+        for key, names in tables[model].items():
             items = [words[values[x]] if key == "turning" else repr(values[x]) for x in names]
             text = f"[{', '.join(items)}]" if len(items) > 1 else items[0]
             note = ", ".join(comments[name] for name in names if name in comments)

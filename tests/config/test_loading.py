@@ -218,7 +218,7 @@ REFUSED = [
         "training_limits.gate_inflation=-0.5",
         "track.gates[0].size is [1.0, 1.0], allowed: above vehicle.width 0.32 and above",
     ),
-    ("start.thrust=[8, 7]", "start.thrust is [8.0, 7.0], allowed: [lowest, highest]"),
+    ("start.thrust=[8, 7]", "start.thrust is [8, 7], allowed: [lowest, highest]"),
     ("vehicle.constants.k_x=-1e-4", "vehicle.constants.k_x is -0.0001, allowed: at least 0"),
     ("vehicle.mismatch={k_w: 0.1}", "vehicle.constants times vehicle.mismatch give a thrust of"),
     ("vehicle.mismatch={tau: 0.01}", "vehicle.constants.tau times its mismatch is 0.0006, allowed"),
@@ -247,7 +247,7 @@ REFUSED = [
         "schedules.vehicle.mismatch.k_w is None, allowed: the key of a number",
     ),
     ("schedules.vehicle.residual_gain={linear: [0, value]}", "vehicle.residual_gain has no effect"),
-    ("rules.bounds=[[9, -9], [-9, 9], [-6, 0]]", "allowed: [lowest, highest] for each of x, y"),
+    ("rules.bounds=[[9, -9], [-9, 9], [-6, 0]]", "rules.bounds[0] is [9, -9], allowed: [low"),
     (["training_limits.gate_inflation=0.1", "reward.gate_offset=0"], "gate_inflation is 0.1"),
     (["learner.shuffle_block=7"], "shuffle_block is 7, allowed: a divisor of 64 (rollout"),
     (

@@ -25,7 +25,6 @@ DEFAULTS = {
         discount=0.5,
         gae_lambda=0.9,
         max_kl=1.0,
-        critic_warmup=UPDATES,
         initial_log_std=-1.0,
     ),
     "shac": SHAC(
@@ -35,14 +34,12 @@ DEFAULTS = {
         critic_minibatches=2,
         learning_rate=5e-3,
         critic_learning_rate=5e-3,
-        target_update_rate=0.3,
         td_lambda=0.9,
         discount=0.5,
         cotangent_decay=1.0,
         cotangent_clip=100.0,
         std=0.2,
         reward_scale=0.5,
-        critic_warmup=UPDATES,
     ),
 }
 
@@ -75,14 +72,13 @@ class Run:
         params: object,
         seed: int = 0,
         devices: int = 1,
-        update: int = UPDATES,  # after the warm-up of the critic
         **numbers,
     ) -> None:
         self.learner, self.mesh, self.program = _program(name, devices)
         self.hyper = as_leaves(DEFAULTS[name].replace(**numbers))
         self.params = params
         state = jax.jit(self.learner.init)(self.hyper, params, jax.random.key(seed))
-        self.state = parallel.place(state.replace(update=np.int32(update)), self.mesh)
+        self.state = parallel.place(state, self.mesh)
 
     def train(self, chunks: int) -> dict[str, np.ndarray]:
         for _ in range(chunks):

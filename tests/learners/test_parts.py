@@ -4,15 +4,14 @@ from types import SimpleNamespace
 
 import jax
 import numpy as np
-import optax
 import pytest
 import scipy.stats
 
 from quadjax.core.errors import InputError
 from quadjax.learners.loop import plan_chunks
-from quadjax.learners.parallel import choose_devices
+from quadjax.learners.parallel import check_memory, choose_devices, make_mesh
 from quadjax.learners.ppo import PPO, Batch, loss
-from quadjax.learners.rollout import Steps, clip, descend, run_epochs, td_lambda
+from quadjax.learners.rollout import Steps, clip, run_epochs, td_lambda
 from quadjax.learners.shac import SHAC, total_return
 from quadjax.learners.state import ActorCritic
 
@@ -111,28 +110,16 @@ def test_a_gradient_is_scaled_to_a_norm():
     assert jax.jit(clip)(tree, np.float32(6.0))["a"] == 3
     half = jax.jit(clip)(tree, np.float32(2.5))
     assert half["a"] == 1.5 and half["b"][0, 1] == 2
-    still = jax.jit(clip)(jax.tree.map(np.zeros_like, tree), np.float32(1.0))
-    np.testing.assert_array_equal(still["b"], 0.0)
 
 
-def test_a_step_that_is_not_finite_or_not_accepted_changes_nothing():
-    adam = optax.adam(0.1)
-    start = (np.float32(1.0), adam.init(np.float32(1.0)))
-    step = jax.jit(lambda gradient, accepted: descend(adam, gradient, start, accepted))
-    (moved, _), skipped = step(np.float32(2.0), True)
-    assert moved == pytest.approx(0.9) and skipped == 0
-    for gradient, accepted in ((np.nan, True), (np.inf, True), (2.0, False)):
-        carry, skipped = step(np.float32(gradient), accepted)
-        assert skipped == 1
-        jax.tree.map(np.testing.assert_array_equal, carry, start)
+def test_more_memory_than_there_is_is_refused():
+    check_memory(1e6, make_mesh(1))
+    with pytest.raises(InputError, match="training needs about .* GiB of memory on each device"):
+        check_memory(1e18, make_mesh(1))
 
 
 def test_devices_divide_the_environments():
-    assert [choose_devices("auto", n) for n in (0, 1, 7)] == [
-        1,
-        1,
-        1 if jax.device_count() < 7 else 7,
-    ]
+    assert [choose_devices("auto", n) for n in (0, 1)] == [1, 1]
     assert choose_devices("auto", 64) == min(2 ** int(np.log2(jax.device_count())), 64)
     with pytest.raises(InputError, match="run.devices is 1000, allowed: at most"):
         choose_devices(1000, 64)

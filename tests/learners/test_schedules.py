@@ -10,13 +10,7 @@ from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.learners.loop import Plan
-from quadjax.learners.schedules import (
-    Curriculum,
-    Schedule,
-    apply_schedules,
-    make_schedule,
-    schedule_learner,
-)
+from quadjax.learners.schedules import Curriculum, Schedule, make_schedule, schedule_learner
 from quadjax.learners.state import Learner
 
 STEPS = 64  # of an update
@@ -24,7 +18,10 @@ STEPS = 64  # of an update
 
 @struct.dataclass
 class State:
+    """A train state with a level."""
+
     update: jax.Array
+    level: jax.Array | None = None
 
 
 def tree(rate=1.0, gain=2.0, count=3, extra=None):
@@ -33,27 +30,18 @@ def tree(rate=1.0, gain=2.0, count=3, extra=None):
     return hyper, params
 
 
-def plain_learner():
-    """A learner whose metrics are the numbers that it is given."""
+def scheduled(schedules, updates=10, curriculum=None, share="pass_rate"):
+    """A learner whose metrics are its numbers, with schedules of the rate and of the gain."""
 
     def init(hyper, params, key):
-        return {"rate": hyper["rate"], "gain": params["gain"]}
+        return State(jnp.int32(0)) if key is not None else (hyper["rate"], params["gain"])
 
     def update(hyper, params, state):
-        return State(state.update + 1), {"rate": hyper["rate"], "gain": params["gain"]}
+        metrics = {"rate": hyper["rate"], "gain": params["gain"], share: params["gain"][0]}
+        return state.replace(update=state.update + 1), metrics
 
-    return Learner(init, update, tree()[0], STEPS)
-
-
-def numbers(learner, update):
-    found = learner.update(learner.hyper, tree()[1], State(jnp.int32(update)))[1]
-    return float(found["rate"]), found["gain"].tolist()
-
-
-def scheduled(learner, schedules, updates=10, curriculum=None):
-    """A learner of ten updates with schedules of the rate and of the gain."""
     return schedule_learner(
-        learner,
+        Learner(init, update, tree()[0], STEPS),
         {key: Schedule(**numbers) for key, numbers in schedules.items()},
         lambda key, value: tree() if value is None else tree(**{key: value}),
         Plan(updates, 1, STEPS),
@@ -62,39 +50,38 @@ def scheduled(learner, schedules, updates=10, curriculum=None):
     )
 
 
+def numbers(learner, update):
+    found = learner.update(learner.hyper, tree()[1], State(jnp.int32(update)))[1]
+    return float(found["rate"]), found["gain"].tolist()
+
+
 def test_leaves_that_differ_are_interpolated_in_environment_steps():
     rate = {"linear": (1.0, 5.0), "start": 2 * STEPS, "until": 4 * STEPS}
-    learner = scheduled(plain_learner(), {"rate": rate})
+    learner = scheduled({"rate": rate})
     rates = [numbers(learner, update)[0] for update in (0, 2, 3, 4, 5, 10**9)]
     assert rates == [1, 1, 3, 5, 5, 5]
     assert numbers(learner, 3)[1] == [2, 20]
 
 
-def test_several_knots_and_jumps():
-    gains = [tree(gain=g) for g in (0.0, 4.0, 4.0, 1.0)]
-    schedule = make_schedule("gain", np.array([0, 4, 8, 8]), gains)
-    rate = make_schedule("rate", np.array([0, 1]), [tree(rate=8), tree(rate=0)])
-    found = {
-        update: apply_schedules(tree(), [schedule, rate], jnp.int32(update))
-        for update in (0, 1, 2, 4, 7, 8, 9)
-    }
-    gained = [params["gain"].tolist() for _, params in found.values()]
-    assert gained == [[g, 10 * g] for g in (0, 1, 2, 4, 4, 1, 1)]
-    assert [float(hyper["rate"]) for hyper, _ in found.values()] == [8, 0, 0, 0, 0, 0, 0]
+def test_several_knots_and_a_run_begins_with_the_first_values():
+    schedules = {"rate": {"linear": (8.0, 0.0)}, "gain": {"linear": (0.0, 4.0, "value")}}
+    learner = scheduled(schedules)
+    rate, gain = learner.init(learner.hyper, tree()[1], None)
+    assert (float(rate), gain.tolist()) == (8, [0, 0])
+    found = [numbers(learner, update)[1][0] for update in (0, 2, 5, 8, 10)]
+    np.testing.assert_allclose(found, [0, 1.6, 4, 2.8, 2], atol=1e-6)
+    assert numbers(learner, 5) == (4, [4, 40])
 
 
-def test_a_run_begins_with_the_first_values():
-    schedules = {"rate": {"linear": (8.0, 0.0)}, "gain": {"linear": (0.0, "value")}}
-    learner = scheduled(plain_learner(), schedules)
-    begin = learner.init(learner.hyper, tree()[1], None)
-    assert (float(begin["rate"]), begin["gain"].tolist()) == (8, [0, 0])
-    assert numbers(learner, 5) == (4, [1, 10])
+def test_the_value_jumps_at_two_equal_knots():
+    jump = {"linear": (2.0, 6.0), "start": 4 * STEPS, "until": 4 * STEPS}
+    learner = scheduled({"gain": jump})
+    assert [numbers(learner, update)[1][0] for update in (0, 3, 4, 5)] == [2, 2, 6, 6]
 
 
 def test_other_numbers_of_a_schedule_compile_nothing(caplog):
     def learner(first, last, until):
-        rate = {"linear": (first, last), "until": until}
-        return scheduled(plain_learner(), {"rate": rate})
+        return scheduled({"rate": {"linear": (first, last), "until": until}})
 
     program = jax.jit(learner(1.0, 2.0, STEPS).update)
     cases = ((1.0, 2.0, 8 * STEPS), (4.0, 0.0, 8 * STEPS), (1.0, 2.0, STEPS))
@@ -105,7 +92,7 @@ def test_other_numbers_of_a_schedule_compile_nothing(caplog):
         ]
     assert found == [1.5, 2.0, 2.0]
     compiled = [r for r in caplog.records if "Finished XLA compilation" in r.getMessage()]
-    assert sum("jit(_update)" in r.getMessage() for r in compiled) == 1
+    assert sum("jit(update)" in r.getMessage() for r in compiled) == 1
 
 
 def test_what_cannot_be_scheduled_is_one_line():
@@ -117,38 +104,19 @@ def test_what_cannot_be_scheduled_is_one_line():
         with pytest.raises(InputError, match=message):
             make_schedule("the.key", np.arange(2.0), [tree(), tree(**second)])
     schedules = {"first": Schedule(linear=(1, 2)), "second": Schedule(linear=(1, 3))}
+    plain = Learner(None, None, tree()[0], STEPS)
     with pytest.raises(InputError, match="first and second change the same number"):
         schedule_learner(
-            plain_learner(), schedules, lambda _, gain: tree(gain=gain), Plan(1, 1, STEPS), STEPS
+            plain, schedules, lambda _, gain: tree(gain=gain), Plan(1, 1, STEPS), STEPS
         )
 
 
-@struct.dataclass
-class Leveled:
-    """A train state with a level."""
-
-    update: jax.Array
-    level: jax.Array | None = None
-
-
-def share_learner(name="pass_rate"):
-    """A learner whose share of completed parts is its gain."""
-
-    def init(hyper, params, key):
-        return Leveled(jnp.int32(0))
-
-    def update(hyper, params, state):
-        metrics = {"rate": hyper["rate"], name: params["gain"][0]}
-        return Leveled(state.update + 1), metrics
-
-    return Learner(init, update, tree()[0], STEPS)
+LEVEL = {"rate": {"linear": (1.0, 5.0), "by": "pass_rate"}}
 
 
 def test_a_level_rises_with_the_share_and_falls_without_it():
     """Half the updates of a run from level 0 to 1; the number follows the level, not the steps."""
-    curriculum = Curriculum(pass_rate=0.8, duration=0.5)
-    rate = {"linear": (1.0, 5.0), "by": "pass_rate"}
-    learner = scheduled(share_learner(), {"rate": rate}, 8, curriculum)
+    learner = scheduled(LEVEL, 8, Curriculum(pass_rate=0.8, duration=0.5))
     state, rates = learner.init(learner.hyper, tree()[1], jax.random.key(0)), []
     for share in (0.5, 0.9, 0.8, 0.9, 0.9, 0.9, 0.7, 0.9):
         state, metrics = learner.update(learner.hyper, tree(gain=share)[1], state)
@@ -158,8 +126,7 @@ def test_a_level_rises_with_the_share_and_falls_without_it():
 
 
 def test_a_level_needs_a_learner_that_reports_the_share():
-    rate = {"linear": (1.0, 5.0), "by": "pass_rate"}
-    learner = scheduled(share_learner("other"), {"rate": rate})
+    learner = scheduled(LEVEL, share="other")
     state = learner.init(learner.hyper, tree()[1], jax.random.key(0))
     with pytest.raises(InputError, match="reports no metric pass_rate"):
         learner.update(learner.hyper, tree()[1], state)

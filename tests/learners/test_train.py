@@ -34,14 +34,8 @@ def test_training_finds_the_best_action(name, caplog):
     """With one compilation of the updates."""
     rows = []
     with jax.log_compiles(), caplog.at_level(logging.WARNING, logger="jax"):
-        result = DEFAULTS[name].train(
-            ENVIRONMENT,
-            probe(best=1.0),
-            steps=40_000,
-            network=NETWORK,
-            schedules=SCHEDULES[name],
-            progress=rows.append,
-        )
+        arguments = ENVIRONMENT, probe(best=1.0), 40_000, 0, NETWORK, SCHEDULES[name], rows.append
+        result = DEFAULTS[name].train(*arguments)
     compiled = [r for r in caplog.records if "Finished XLA compilation" in r.getMessage()]
     assert sum("jit(many)" in r.getMessage() for r in compiled) == 1
     batch = np.stack([observations(1.0), observations(-1.0)])
@@ -55,7 +49,6 @@ def test_training_finds_the_best_action(name, caplog):
     assert np.all(np.diff(rates) < 0) and rates[-1] == pytest.approx(1e-3, rel=0.2)
     if name == "shac":
         last = 0.2 - 0.1 * (updates - 1) / updates
-        np.testing.assert_allclose(result.metrics["std"][[0, -1]], [0.2, last], rtol=1e-5)
         np.testing.assert_allclose(np.exp(result.parameters.log_std), last, rtol=1e-5)
     assert rows[-1]["steps"] == result.steps and len(rows) <= 21
     assert np.mean(result.metrics["reward"][-5:]) > np.mean(result.metrics["reward"][:5])
@@ -83,7 +76,7 @@ def test_wrong_arguments_are_one_line(arguments, message):
 class Ascent(LearnerSection):
     """Moves the last bias of the policy along the gradient of one step's reward."""
 
-    num_envs: int = 8
+    num_envs: int = 4
 
     def make(self, environment, networks, num_updates):
         def init(hyper, params, key):
@@ -98,16 +91,10 @@ class Ascent(LearnerSection):
             keys = jax.random.split(state.key, self.num_envs)
             slope = jax.vmap(jax.grad(reward), in_axes=(None, None, 0))(state.params, params, keys)
             weights = jax.tree.map(lambda w, g: w + 0.1 * g.mean(axis=0), state.params, slope)
-            new = state.replace(params=weights, key=keys[0], update=state.update + 1)
+            new = state.following((), keys[0], params=weights)
             return new, {"reward": reward(weights, params, keys[0])}
 
         return Learner(init, update, {}, self.num_envs)
-
-
-def test_an_own_learner():
-    result = Ascent(num_envs=4).train(ENVIRONMENT, probe(best=1.0), 800, network=NETWORK)
-    assert result.policy(observations())[0] == pytest.approx(0.5, abs=0.05)
-    assert result.steps == 800
 
 
 class Constant:
@@ -122,21 +109,19 @@ class Constant:
         return jnp.broadcast_to(params.policy, (*observation.shape[:-1], 1))
 
 
-def test_own_networks():
-    result = Ascent(num_envs=4).train(ENVIRONMENT, probe(best=1.0), 200, network=Constant())
-    np.testing.assert_allclose(result.policy(np.zeros((5, 3), np.float32)), 0.5, atol=0.05)
+@pytest.mark.parametrize("network", [NETWORK, Constant()], ids=["a perceptron", "own networks"])
+def test_an_own_learner(network):
+    result = Ascent().train(ENVIRONMENT, probe(best=1.0), 800, network=network)
+    batch = np.stack([observations(1.0), observations(-1.0)])
+    np.testing.assert_allclose(result.policy(batch), 0.5, atol=0.05)
+    assert result.steps == 800
 
 
 def test_numbers_of_the_environment_follow_schedules_as_in_a_config():
     """A constant reward of 0, from the middle of the run rising to 4, in environment steps."""
-    result = Ascent().train(
-        ENVIRONMENT,
-        probe(constant=1.0),
-        steps=60 * 8,
-        network=NETWORK,
-        schedules={"constant": Schedule(linear=(0.0, 4.0), start=0.5)},
-    )
-    reward = result.metrics["reward"]
+    schedules = {"constant": Schedule(linear=(0.0, 4.0), start=0.5)}
+    arguments = ENVIRONMENT, probe(constant=1.0), 60 * 4, 0, NETWORK, schedules
+    reward = Ascent().train(*arguments).metrics["reward"]
     np.testing.assert_allclose(reward[:30], 0.0, atol=1e-6)
     np.testing.assert_allclose(reward[30:], np.arange(30) * 4.0 / 30.0, atol=1e-5)
 

@@ -7,13 +7,11 @@ import pytest
 
 from quadjax.core.vectors import Vec3
 from quadjax.race import environment
-from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.protocol import Motion
 from tests import reference as ref
 from tests.promotion import QUICK
 from tests.race.support import (
     compiled_observe,
-    compiled_reset,
     compiled_transition,
     make_race,
     race_state,
@@ -100,53 +98,3 @@ def test_thrusts_without_a_lag_are_those_of_the_command():
     after = compiled_transition(choices)(params, state, action)[0].drone
     thrusts = [x[0] for x in after.actuators]
     np.testing.assert_allclose(thrusts, [0, 0.5 * 6.879, 6.879, 6.879], rtol=1e-6)
-
-
-def test_every_rotor_has_its_own_draw():
-    choices, params = make_race(
-        "vehicle=5inch",
-        TRACK,
-        "randomization.all=0.3",
-        "randomization.constants={k_w: 0.1, tau: 0}",
-    )
-    drawn = compiled_reset(choices)(params, jax.random.key(0), 4000).constants
-    nominal = values_of(params.vehicle.constants)
-    spread = {"k_w": 0.1, "tau": 0.0, "g": 0.0}
-    factors = {}
-    for name, values in values_of(drawn).items():
-        factors[name] = np.asarray(values) / float(nominal[name])
-        half = 0.0 if name.startswith("turning") else spread.get(name, 0.3)
-        np.testing.assert_allclose(
-            [factors[name].min(), factors[name].max()], [1 - half, 1 + half], atol=2e-3
-        )
-    table = np.stack(
-        [factors[f"{name}{i}"] for name in ("k_p", "k_q", "k_r") for i in (1, 2, 3, 4)]
-    )
-    assert np.abs(np.corrcoef(table) - np.eye(12)).max() < 0.08
-
-
-def test_population_of_all_racing_drones():
-    """The ranges of arXiv 2504.21586, with the sums and products that it draws."""
-    choices, params = make_race(
-        "vehicle=5inch", TRACK, "randomization.population=all_racing_drones"
-    )
-    drawn = compiled_reset(choices)(params, jax.random.key(1), 4000).constants
-    c = {name: np.asarray(value, float) for name, value in values_of(drawn).items()}
-    w = c["w_max"]
-    for values, low, high in (
-        (c["w_min"], 0, 500),
-        (w, 3000, 5000),
-        (c["k"], 0, 1),
-        (c["tau"], 0.01, 0.1),
-        (c["k_w"] * w**2, 10, 30),
-        (c["k_x"] * w, 0.1, 0.3),
-        (c["k_y"] * w, 0.1, 0.3),
-        (c["k_r3"] * w, 20, 80),
-        (c["k_rd2"] * w, 2, 8),
-        ((c["k_p1"] - c["k_p4"]) * w**2, -100, 100),
-        (np.mean([c[f"k_q{i}"] for i in (1, 2, 3, 4)], axis=0) * w**2, 200, 800),
-    ):
-        assert abs(values.min() - low) < 0.06 * (high - low)
-        assert abs(values.max() - high) < 0.06 * (high - low)
-    np.testing.assert_array_equal(c["k_r1"], c["k_r4"])
-    np.testing.assert_array_equal(c["turning2"], 1.0)

@@ -7,7 +7,6 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.config.race import build_params, choices_of
 from quadjax.core.errors import InputError
-from quadjax.learners.schedules import apply_schedules
 from quadjax.training.build import build_learner
 
 TINY = [
@@ -24,8 +23,7 @@ def at(config, *updates):
     """Hyperparameters and race after each number of updates, of 64 steps each."""
     learner = build_learner(config)
     assert learner.steps_per_update == 64
-    tree = (learner.hyper.hyper, build_params(config))
-    program = jax.jit(lambda update: apply_schedules(tree, learner.hyper.schedules, update))
+    program = jax.jit(lambda update: learner.hyper.at(update, None, build_params(config)))
     return [jax.device_get(program(np.int32(update))) for update in updates]
 
 
