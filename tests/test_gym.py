@@ -15,7 +15,6 @@ from quadjax.training.build import untrained_policy
 gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not installed")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.vector import AutoresetMode  # noqa: E402
-from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 
 from quadjax.integrations.gym import ID, RaceEnv, RaceVectorEnv  # noqa: E402
 from tests.race.support import BLANK  # noqa: E402
@@ -143,16 +142,6 @@ def test_a_single_race_does_not_restart_by_itself():
     assert np.abs(env.step(hover(1)[0])[0] - begun).max() > 1e-3  # the motors have run up
 
 
-def test_a_wrapper_counts_episodes():
-    env = RecordEpisodeStatistics(vector("SameStep"))
-    env.reset(seed=1)
-    for _ in range(5):
-        _, _, terminated, truncated, infos = env.step(hover())
-    assert (truncated | terminated).any()
-    lengths = infos["episode"]["l"]
-    assert lengths[truncated].tolist() == [5] * int(truncated.sum())
-
-
 def test_it_is_the_race_that_is_trained():
     """The same rewards as the learners' environment, step for step."""
     env = vector("Disabled")
@@ -186,15 +175,8 @@ def test_stable_baselines_learns_on_it():
     for flag, info in zip(done, infos, strict=True):
         assert flag == ("terminal_observation" in info)
     assert any(info.get("TimeLimit.truncated") for info in infos)
-    overrides = [
-        "learner.algorithm=ppo",
-        "learner.num_envs=8",
-        "learner.rollout_length=16",
-        "learner.num_epochs=1",
-        "learner.num_minibatches=2",
-        "network.hidden=[8]",
-    ]
-    config = load_config(BLANK, overrides)
+    learner = "learner={algorithm: ppo, num_envs: 8, rollout_length: 16, num_minibatches: 2}"
+    config = load_config(BLANK, [learner, "learner.num_epochs=1", "network.hidden=[8]"])
     model = make_ppo(*make_race(config), config.learner, config.network, seed=0)
     before = [p.detach().clone() for p in model.policy.parameters()]
     model.learn(128)

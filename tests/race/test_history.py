@@ -75,13 +75,12 @@ REFUSED = {
 }
 
 
-def test_impossible_histories_are_refused():
+def test_names_and_impossible_histories():
     for history, message in REFUSED.items():
         with pytest.raises(InputError, match=message):
             make_config(f"observation.history={history}")
-
-
-def test_actuators_are_those_of_any_model():
-    for vehicle, name in (("bebop1", "rpm"), ("5inch", "rotor_speed")):
-        own = (f"vehicle={vehicle}", "observation.history={fields: [actuators], steps: 1}")
-        assert choices_of(make_config(*own)).layout.names[-1] == f"{name}@4"
+    for vehicle, name in (("bebop1", "rpm"), ("5inch", "rotor_speed")):  # of any model
+        config = make_config(
+            f"vehicle={vehicle}", "observation.history={fields: [actuators], steps: 1}"
+        )
+        assert choices_of(config).layout.names[-1] == f"{name}@4"

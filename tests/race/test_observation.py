@@ -1,16 +1,28 @@
-"""What the policy sees, against an independent version and under symmetries."""
+"""What the policy sees, and penalties of it, against float64 versions and under symmetries."""
 
+import types
+
+import jax
 import numpy as np
 import pytest
 
+from quadjax.core.vectors import Rotors
+from quadjax.race.step import Step
+from quadjax.race.track import gates_ahead
 from tests import reference as ref
-from tests.race.support import compiled_observe, make_race, race_state, track_of
+from tests.race.support import (
+    compiled_observe,
+    compiled_reset,
+    compiled_transition,
+    level,
+    make_race,
+    race_state,
+    track_of,
+)
 
-PAPER = (
-    "disturbance.moment_x=0.03",
-    "disturbance.moment_y=0.03",
-    "disturbance.moment_z=0.01",
-    "disturbance.force_z=0.5",
+PAPER = tuple(
+    f"disturbance.{key}"
+    for key in ("moment_x=0.03", "moment_y=0.03", "moment_z=0.01", "force_z=0.5")
 )
 COUNT = 500
 CONSTANTS = {"motor": ref.MOTOR, "rate": ref.RATE}
@@ -76,38 +88,106 @@ def test_unchanged_when_all_is_turned_and_moved(kind):
     after = observe(params.replace(track=moved), race_state(kind, turned, target))
     away = np.abs(np.abs(before[:, 8]) - np.pi) > 1e-3
     np.testing.assert_allclose(after[away], before[away], atol=3e-5)
-    other = observe(params, race_state(kind, turned, target))
-    assert np.abs(other[:, :2] - before[:, :2]).max() > 1
 
 
 def test_disturbances_that_are_not_observed():
-    rows = ref.random_states("motor", COUNT)
-    state = race_state("motor", rows)
-    for overrides in ((*PAPER, "observation.disturbance=none"), ()):
+    state, found = race_state("motor", ref.random_states("motor", COUNT)), []
+    for overrides in (PAPER, (*PAPER, "observation.disturbance=none"), ()):
         choices, params = make_race(*overrides)
-        found = compiled_observe(choices)(params, state)
-        assert np.all(np.isfinite(found))
-        np.testing.assert_array_equal(found[:, 20:], 0.0)
-    choices, params = make_race(*PAPER)
-    given = compiled_observe(choices)(params, state)
-    np.testing.assert_array_equal(given[:, :20], found[:, :20])
-    assert np.all(np.abs(given[:, 20:]).max(axis=0) > 0.9)
+        found.append(compiled_observe(choices)(params, state))
+        np.testing.assert_array_equal(found[-1][:, :20], found[0][:, :20])
+    assert np.all(np.abs(found[0][:, 20:]).max(axis=0) > 0.9)
+    assert not found[1][:, 20:].any() and not found[2][:, 20:].any()
 
 
-@pytest.mark.parametrize("kind", ["motor", "rate"])
-def test_actuators_are_scaled_by_the_nominal_range(kind):
+@pytest.mark.parametrize(("kind", "key"), [("motor", "rpm_max"), ("rate", "thrust_max")])
+def test_actuators_are_scaled_by_the_nominal_range(kind, key):
     """A policy does not know the range of the drone that was drawn."""
     choices, params = make_race(f"vehicle.model={kind}", "randomization.limits=0.2")
-    rows = ref.random_states(kind, 3)
-    state = race_state(kind, rows)
-    own = params.vehicle.constants.replace(
-        **{
-            name: np.float32(0.8) * getattr(params.vehicle.constants, name)
-            for name in (("rpm_max",) if kind == "motor" else ("thrust_max",))
-        }
-    )
-    own = type(own)(**{name: np.broadcast_to(value, 3) for name, value in vars(own).items()})
-    found = compiled_observe(choices)(params, state.replace(constants=own))
+    rows, nominal = ref.random_states(kind, 3), params.vehicle.constants
+    drawn = nominal.replace(**{key: np.float32(0.8) * getattr(nominal, key)})
+    drawn = jax.tree.map(lambda x: np.broadcast_to(x, 3), drawn)
+    found = compiled_observe(choices)(params, race_state(kind, rows).replace(constants=drawn))
     wanted = ref.observation(kind, CONSTANTS[kind], rows, np.zeros(3, int), ref.GATES, ref.GATE_YAW)
-    columns = slice(12, 16) if kind == "motor" else slice(12, 13)
+    columns = slice(12, 16 if kind == "motor" else 13)
     np.testing.assert_allclose(found[:, columns], wanted[:, columns], atol=1e-5)
+
+
+def ahead_of(index, count, centers, yaw):
+    """The pose of a later gate in a gate's frame, float64."""
+    other = (index + count) % len(centers)
+    turn = ref.elementary(2, np.array(yaw[index]))
+    return turn.T @ (centers[other] - centers[index]), ref.wrap(yaw[other] - yaw[index])
+
+
+@pytest.mark.parametrize("gates", [1, 5])
+def test_gates_after_the_next_one_are_observed(gates):
+    centers, yaw = circuit(gates)
+    choices, params = make_race("observation.gates_ahead=3")
+    params = params.replace(track=track_of(centers, yaw))
+    state = race_state("motor", level(np.zeros((gates, 3)), np.zeros(3)), np.arange(gates))
+    found = compiled_observe(choices)(params, state)
+    for index, count in np.ndindex(gates, 2):
+        place, turn = ahead_of(index, count + 2, centers, yaw)
+        name = f"next{count + 2}"
+        position = found[index, choices.layout.slice(f"{name}_position")]
+        np.testing.assert_allclose(position, place, atol=2e-5)
+        (angle,) = found[index, choices.layout.slice(f"{name}_yaw")]
+        assert abs(ref.wrap(angle - turn)) < 1e-5
+
+
+def test_gates_after_the_end_of_a_course_are_straight_ahead():
+    track = track_of(ref.GATES, ref.GATE_YAW, closed=False)
+    place, yaw = jax.jit(gates_ahead, static_argnums=1)(track, 2)
+    position = np.stack([*place], axis=-1)
+    np.testing.assert_allclose(position[-1], [10, 0, 0], atol=1e-5)
+    last, turn = ahead_of(2, 1, ref.GATES, ref.GATE_YAW)
+    beyond = last + 5.0 * np.array([np.cos(turn), np.sin(turn), 0.0])
+    np.testing.assert_allclose(position[2], beyond, atol=1e-5)
+    assert abs(float(yaw[2]) - turn) < 1e-6 and float(yaw[3]) == 0
+
+
+def test_actuators_are_scaled_by_a_range_of_the_config():
+    choices, params = make_race(
+        "vehicle=5inch", "track=figure8_tudelft", "observation.actuator_range=[0, 3000]"
+    )
+    assert choices.layout.size == 20  # the published observation of racing quadcopters
+    field = choices.layout.with_spans(choices.model, params)["rotor_speed"]
+    assert field.span == ((0.0, 3000.0),) * 4
+    drone = types.SimpleNamespace(actuators=Rotors(*np.float32([0.0, 1500, 3000, 600])))
+    found = field.numbers(Step(choices.model, params, types.SimpleNamespace(drone=drone), None))
+    np.testing.assert_allclose(found, [-1, 0, 1, -0.6], atol=1e-6)
+
+
+def test_penalties_of_the_cameras_view_and_of_changes_of_the_action():
+    """The angle between the camera's axis and the gate's center, after the step, in float64."""
+    sight = ("reward.perception=0.5", "reward.camera_deg=40", "reward.perception_deg=30")
+    more = ("reward.action_change=0.25", "observation.last_action=true")
+    (choices, params), plain = make_race(*sight, *more), make_race()
+    state = race_state("motor", ref.random_states("motor", 200), np.arange(200) % 4)
+    action = np.random.default_rng(0).uniform(-1.5, 1.5, (200, 4)).astype(np.float32)
+    begun = state.replace(action=(np.full(200, 0.5, np.float32),) * 4)
+    following, value, outcome = compiled_transition(choices)(params, begun, action)
+    _, without, _ = compiled_transition(plain[0])(plain[1], state, action)
+    tilt, drone = np.radians(40), following.drone
+    axis = np.array([np.cos(tilt), 0, -np.sin(tilt)])
+    matrix = ref.rotation(np.stack([*drone.euler], 1))
+    seen = np.einsum("nji,nj->ni", matrix, ref.GATES[state.target] - np.stack([*drone.position], 1))
+    angle = np.arccos(seen @ axis / np.linalg.norm(seen, axis=1))
+    unseen = 0.01 * 0.5 * np.maximum(angle - np.radians(30), 0) * ~outcome.passed
+    assert unseen.max() > 0.01 and (unseen == 0).any()
+    change = 0.25 * np.abs(np.clip(action, -1, 1) - 0.5).sum(axis=1)
+    np.testing.assert_allclose(without - value, unseen + change, atol=1e-4)
+    columns = choices.layout.slice("last_action")  # 0 at a start
+    for each, wanted in (
+        (following, np.clip(action, -1, 1)),
+        (compiled_reset(choices)(params, jax.random.key(0), 2), np.zeros((2, 4))),
+    ):
+        found = compiled_observe(choices)(params, each)[:, columns]
+        np.testing.assert_allclose(found, wanted, atol=1e-6)
+
+
+def test_penalties_that_are_scheduled_are_computed():
+    race = make_race("reward.perception=0", "schedules.reward.perception.linear=[0, 1]")
+    assert race[1].reward.perception is not None and race[1].reward.action_change is None
+    assert make_race()[1].reward.perception is None

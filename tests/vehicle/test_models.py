@@ -118,16 +118,6 @@ def test_signs_by_hand(motor_slope):
         assert sign * change[0, column] > 1e-4, (columns, column)
 
 
-def test_hover_is_an_equilibrium(motor_slope):
-    hover = float(motor.hover_rpm(constants("motor", ref.MOTOR)))
-    assert hover == pytest.approx(7497, abs=1)  # as published
-    rows = at_rest()
-    rows[:, ref.RPM] = hover
-    rows[:, 8] = 0.7
-    slope = motor_slope(ref.MOTOR, rows, np.full((1, 4), hover))
-    np.testing.assert_allclose(slope, 0.0, atol=1e-12)
-
-
 @pytest.fixture(scope="module")
 def rate_slope():
     fly = jax.jit(jax.vmap(rate.MODEL.derivative, in_axes=(None, 0, 0)))
@@ -148,14 +138,6 @@ def test_rate_model(rate_slope):
         found = rate_slope(values, rows, commands)
         agree(found, ref.rate_derivative(values, rows, commands))
         assert np.abs(found - plain).max() > 0.1
-
-
-def test_command_ranges():
-    low, high = rate.MODEL.command_range(constants("rate", ref.RATE | {"p_max": 1, "q_max": 2}))
-    np.testing.assert_array_equal(jax.tree.leaves(low), [-1, -2, -3, 0])
-    np.testing.assert_array_equal(jax.tree.leaves(high), [1, 2, 3, 15])
-    ends = motor.MODEL.command_range(constants("motor", ref.MOTOR))
-    np.testing.assert_array_equal([end.array() for end in ends], [[3000.0] * 4, [11000.0] * 4])
 
 
 def test_every_constant_is_in_one_group():

@@ -125,15 +125,6 @@ def test_signs_by_hand(name, columns, column, expected):
     assert change[0, column] == pytest.approx(expected, rel=1e-6)
 
 
-def test_signs_of_thrusts():
-    """Of one rotor each: front left, front right, rear right, rear left."""
-    found = slope_of("cpc", np.repeat(level("cpc", 0.0), 4, axis=0), np.eye(4))
-    np.testing.assert_allclose(found[:, 5], 9.81 - 1 / 0.85)
-    turning = np.array([0.106066 / 0.001, 0.106066 / 0.001, 0.05 / 0.0017])
-    signs = np.array([[1, 1, -1], [-1, 1, 1], [-1, -1, -1], [1, -1, 1]])
-    np.testing.assert_allclose(found[:, ref.RATES], turning * signs)
-
-
 @pytest.mark.parametrize("name", VEHICLES)
 def test_hover_is_an_equilibrium(name):
     model, _ = vehicle_of(name)
@@ -149,17 +140,6 @@ def test_hover_is_an_equilibrium(name):
     rows = (jax.tree.map(lambda leaf: np.asarray(leaf)[None], each) for each in (state, command))
     np.testing.assert_allclose(rows_of(_slope(model)(params, *rows)), 0.0, atol=1e-8)
     assert np.ptp(rows_of(state.actuators)) > (0 if name == "cpc" else 10) - 1e-9
-
-
-@pytest.mark.parametrize("name", VEHICLES)
-def test_ranges(name):
-    model, _ = vehicle_of(name)
-    c = params_of(name).constants
-    commands = [rows_of(x) for x in model.command_range(c)]
-    np.testing.assert_allclose(commands, [[0.0] * 4, [6.879 if name == "cpc" else 1.0] * 4])
-    if name != "cpc":
-        ends = [rows_of(racing.motor_map(c, Rotors.of(jnp.asarray(u)))) for u in commands]
-        np.testing.assert_allclose(ends, [rows_of(x) for x in model.actuator_range(c)])
 
 
 def test_thrust_to_weight():
