@@ -42,29 +42,21 @@ class Batch:
     key: jax.Array  # () PRNG key
 
 
-@struct.dataclass
-class Outcome:
-    """What a step returns."""
-
-    observation: jax.Array  # (n, observation_size), of the next episode where it has begun
-    final: jax.Array  # (n, observation_size), of the step itself, before any reset
-    reward: jax.Array  # (n,)
-    terminated: jax.Array  # (n,) bool
-    truncated: jax.Array  # (n,) bool
-    gates_passed: jax.Array  # (n,) int32, of the step's episode
-
-
 def step_all(
     environments: Environment,
     mode: AutoresetMode,
     params: RaceParams,
     batch: Batch,
     action: jax.Array,
-) -> tuple[Batch, Outcome]:
+) -> tuple[Batch, dict[str, jax.Array]]:
     """One step of every environment, with resets as the mode defines them.
 
     ``SAME_STEP`` resets within the step that ends an episode. ``NEXT_STEP`` resets in the step
     after it, whose action, reward and flags have no effect. ``DISABLED`` leaves it to the caller.
+
+    Returns:
+        The environments, and what a step returns, (n, ..): ``observation`` is of the next episode
+        where it has begun, ``final`` of the step itself, as the gates that it passed.
     """
     following, reward, terminated, truncated = environments.step(params, batch.state, action)
     key, reset_key = jax.random.split(batch.key)
@@ -72,26 +64,22 @@ def step_all(
     reward = jnp.where(late, 0.0, reward)
     terminated, truncated = terminated & ~late, truncated & ~late
     done = terminated | truncated
-    resets = {
-        AutoresetMode.SAME_STEP: done,
-        AutoresetMode.NEXT_STEP: late,
-        AutoresetMode.DISABLED: jnp.zeros_like(done),
-    }[mode]
+    none = jnp.zeros_like(done)
+    resets = {AutoresetMode.SAME_STEP: done, AutoresetMode.NEXT_STEP: late}.get(mode, none)
 
     def fresh() -> RaceState:
         keys = jax.random.split(reset_key, action.shape[0])
         return where_done(resets, environments.reset(params, keys), following)
 
     state = jax.lax.cond(resets.any(), fresh, lambda: following)
-    outcome = Outcome(
-        observation=environments.observe(params, state),
-        final=environments.observe(params, following),
-        reward=reward,
-        terminated=terminated,
-        truncated=truncated,
-        gates_passed=jnp.where(late, 0, following.gates_passed),
-    )
-    return Batch(state, done, key), outcome
+    return Batch(state, done, key), {
+        "observation": environments.observe(params, state),
+        "final": environments.observe(params, following),
+        "reward": reward,
+        "terminated": terminated,
+        "truncated": truncated,
+        "gates_passed": jnp.where(late, 0, following.gates_passed),
+    }
 
 
 class RaceVectorEnv(VectorEnv):
@@ -116,12 +104,8 @@ class RaceVectorEnv(VectorEnv):
     ) -> None:
         """Prepare the race, which ``quadjax.make_race`` returns; nothing is compiled yet.
 
-        Args:
-            environment: of the race.
-            params: its numbers.
-            num_envs: number of drones.
-            autoreset_mode: when the next episode begins: same step, next step, or disabled.
-            seed: of the first ``reset`` without a seed.
+        ``seed`` is of the first ``reset`` without one; ``autoreset_mode`` says when the next
+        episode begins: same step, next step, or disabled.
         """
         self.num_envs, self._mode = num_envs, AutoresetMode(autoreset_mode)
         self._params = params
@@ -148,17 +132,14 @@ class RaceVectorEnv(VectorEnv):
             self._key = jax.random.key(seed)
         self._key, reset_key, key = jax.random.split(self._key, 3)
         state = self._reset(self._params, jax.random.split(reset_key, self.num_envs))
-        observation = self._observe(self._params, state)
+        rows, over = np.asarray(self._observe(self._params, state)), np.zeros(self.num_envs, bool)
         mask = (options or {}).get("reset_mask")
-        over = np.zeros(self.num_envs, bool)
-        rows = np.asarray(observation)
         if mask is not None and self._batch is not None:
             mask = np.asarray(mask, bool)
             state = where_done(jnp.asarray(mask), state, self._batch.state)
             rows = np.where(mask[:, None], rows, self._last)
             over = np.asarray(self._batch.over) & ~mask
-        self._batch = Batch(state, jnp.asarray(over), key)
-        self._last = rows
+        self._batch, self._last = Batch(state, jnp.asarray(over), key), rows
         return self._last.copy(), {}
 
     def step(self, actions: np.ndarray) -> Step:
@@ -174,24 +155,22 @@ class RaceVectorEnv(VectorEnv):
             raise RuntimeError("an episode is over: call reset (a vector: options reset_mask)")
         shaped = jnp.asarray(actions, jnp.float32).reshape(self.action_space.shape)
         self._batch, outcome = self._step(self._params, self._batch, shaped)
-        result: Any = jax.device_get(outcome)
-        self._last = np.array(result.observation)
-        reward = result.reward.astype(np.float64)
-        flags = np.array(result.terminated), np.array(result.truncated)
-        return self._last.copy(), reward, *flags, self._infos(result)
-
-    def _infos(self, outcome: Any) -> Info:
-        every = np.ones(self.num_envs, bool)
-        done = outcome.terminated | outcome.truncated
-        infos: Info = {"gates_passed": np.array(outcome.gates_passed), "_gates_passed": every}
+        result = {name: np.array(values) for name, values in jax.device_get(outcome).items()}
+        terminated, truncated, passed = (
+            result[name] for name in ("terminated", "truncated", "gates_passed")
+        )
+        done, every = terminated | truncated, np.ones(self.num_envs, bool)
+        infos: Info = {"gates_passed": passed, "_gates_passed": every}
         if self._mode == AutoresetMode.SAME_STEP and done.any():
             final = np.full(self.num_envs, None, dtype=object)
             for index in np.flatnonzero(done):
-                final[index] = np.array(outcome.final[index])
-            last = {"gates_passed": np.array(outcome.gates_passed), "_gates_passed": done}
+                final[index] = result["final"][index]
+            last = {"gates_passed": passed, "_gates_passed": done}
             infos |= {"final_obs": final, "_final_obs": done}
             infos |= {"final_info": last, "_final_info": done}
-        return infos
+        self._last = result["observation"]
+        reward = result["reward"].astype(np.float64)
+        return self._last.copy(), reward, terminated, truncated, infos
 
 
 class RaceEnv(gymnasium.Env):

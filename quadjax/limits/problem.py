@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 from quadjax.core.errors import InputError
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.traced import with_leaves
-from quadjax.limits.gates import Gates, gates_of
 from quadjax.race.environment import Choices, RaceParams, RaceState, exact_rules
 from quadjax.race.episode import hover_start
 from quadjax.race.rules import BENEATH
+from quadjax.race.track import Track
 from quadjax.vehicle.protocol import State, VehicleModel
 
 POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
@@ -30,7 +30,41 @@ CENTERED = 0.02  # m from a center, within which a flight passes through it
 TIME_STEP = 1e-3  # s, for which a command is held in the verification
 SPEED = 60.0  # m/s, the limit of a drone without ``fitted_speed``
 BELOW_RULE = 0.998  # of a limit of the race, at the nodes: between them a flight may exceed it
+OCTAGON = np.pi / 4.0 * np.arange(8)  # angles of the corners of a round opening's octagon
 Tree = TypeVar("Tree")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Gates:
+    """Gates in the order of passage."""
+
+    position: np.ndarray  # (gates, 3) centers, m
+    axes: np.ndarray  # (gates, 3, 3) unit vectors: through the opening, along its width, its height
+    half_size: np.ndarray  # (gates, 2) half width, half height, m; the radius of a round opening
+    circle: np.ndarray  # (gates,) bool, round openings
+
+    def corners(self, index: int, clearance: float | None) -> np.ndarray:
+        """Corners (n, 3) of a convex set that contains what a clearance, m, leaves of an opening.
+
+        Without a clearance (None): the center.
+        """
+        if clearance is None:
+            return self.position[index][None]
+        width, height = self.half_size[index] - clearance
+        if self.circle[index]:
+            size = width / np.cos(np.pi / 8.0)  # of the octagon around the circle
+            sides = size * np.stack([np.cos(OCTAGON), np.sin(OCTAGON)], axis=1)
+        else:
+            sides = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * [width, height]
+        return self.position[index] + sides @ self.axes[index, 1:]
+
+    def clearance(self, index: int, place: np.ndarray) -> float:
+        """Distance of a place in the gate's plane from the nearest edge, m; negative outside."""
+        width, height = self.half_size[index]
+        _, right, down = self.axes[index] @ (place - self.position[index])
+        if self.circle[index]:
+            return float(width - np.hypot(right, down))
+        return float(min(width - abs(right), height - abs(down)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -164,6 +198,29 @@ def double(tree: Tree) -> Tree:
     """A pytree of arrays with its floating-point numbers in float64."""
     arrays = jax.tree.map(np.asarray, tree)
     return jax.tree.map(lambda x: x.astype(np.float64) if x.dtype.kind == "f" else x, arrays)
+
+
+def gates_of(track: Track, radius: float = 0.0) -> Gates:
+    """The gates of a track, with openings that are smaller by a drone's radius, m, on each side.
+
+    Raises:
+        InputError: an opening is not wider than the drone.
+    """
+    position = np.stack([np.asarray(x, np.float64) for x in track.position.components()], 1)
+    sizes = [np.asarray(x, np.float64) for x in (track.half_width, track.half_height)]
+    half = np.stack(sizes, 1) - radius
+    if np.any(half <= 0.0):
+        gate = int(np.argmin(half.min(axis=1))) + 1
+        raise InputError(f"gate {gate}: no wider than the drone, rules.body_radius {radius:g} m")
+    yaw = np.asarray(track.yaw, np.float64)
+    angles = np.stack([yaw, np.zeros_like(yaw), np.zeros_like(yaw)], axis=1)
+    if track.attitude is not None:
+        opening = {name: np.asarray(x, np.float64) for name, x in vars(track.attitude).items()}
+        for column, name in ((1, "pitch"), (2, "roll")):
+            angles[:, column] = np.arctan2(opening[f"sin_{name}"], opening[f"cos_{name}"])
+    axes = Rotation.from_euler("ZYX", angles).as_matrix().transpose(0, 2, 1)
+    circle = np.zeros(len(yaw), bool) if track.circle is None else np.asarray(track.circle)
+    return Gates(position, axes, half, circle)
 
 
 def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = None) -> Problem:

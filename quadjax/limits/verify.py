@@ -14,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.integrators import rk4_loop_step
-from quadjax.limits.gates import Gates
-from quadjax.limits.problem import ATTITUDE, POSITION, TIME_STEP, VELOCITY, Problem
+from quadjax.limits.problem import ATTITUDE, POSITION, TIME_STEP, VELOCITY, Gates, Problem
 from quadjax.limits.trajectory import Trajectory
 from quadjax.race.environment import Choices, RaceParams, RaceState, transition
 from quadjax.race.rules import terminations_of

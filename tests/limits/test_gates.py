@@ -7,8 +7,7 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.core.vectors import Vec3
-from quadjax.limits.gates import gates_of
-from quadjax.limits.problem import POSITION, Flight, make_problem
+from quadjax.limits.problem import POSITION, Flight, gates_of, make_problem
 from quadjax.limits.verify import passages
 from quadjax.race.rules import inside_opening
 from quadjax.race.track import TrackSection, build_track, gate, to_opening_frame

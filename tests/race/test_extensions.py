@@ -92,19 +92,16 @@ FIVE_COMMANDS = FiveCommands()
 
 def test_timed_laps_of_a_model_with_five_commands():
     choices, params = make_race("vehicle.model=tests.race.test_extensions:FIVE_COMMANDS")
-    states = jax.eval_shape(
-        lambda race, key: starting_states(choices, race, key, 2, from_hover=True),
-        *(params, jax.random.key(0)),
-    )
 
-    def actor(policy, observation, noise):
-        return jnp.clip(noise, -1.0, 1.0)
+    def flown(params, key):
+        def actor(policy, observation, noise):
+            return jnp.clip(noise, -1.0, 1.0)
 
-    _, kept = jax.eval_shape(
-        functools.partial(fly_race, choices, actor, 1, 3, True),
-        *(params, None, states, jax.random.key(1)),
-    )
-    assert kept.command.shape == (3, 5, 2)
+        return fly_race(choices, actor, 1, 3, True, params, None, start(params, key), key)
+
+    start = functools.partial(starting_states, choices, runs=2, from_hover=True)
+    _, recorded = jax.eval_shape(flown, params, jax.random.key(1))
+    assert recorded.command.shape == (3, 5, 2)
     command = by_rows(lambda race, action: environment.command(choices, race, action))
     actions = np.random.default_rng(0).uniform(-1, 1, (20, 5)).astype(np.float32)
     (_, flap) = command(params, actions)
