@@ -142,13 +142,6 @@ def test_hover_is_an_equilibrium(name):
     assert np.ptp(rows_of(state.actuators)) > (0 if name == "cpc" else 10) - 1e-9
 
 
-def test_thrust_to_weight():
-    found = {
-        name: vehicle_of(name)[0].thrust_to_weight(params_of(name).constants) for name in VEHICLES
-    }
-    assert found == pytest.approx({"5inch": 11.0, "3inch": 5.8, "a2rl": 6.1, "cpc": 3.3}, rel=0.01)
-
-
 def test_drawn_curvature_of_the_motor_map_stays_valid():
     """A k above 1, as randomization draws it, is 1."""
     u = np.linspace(0, 1, 11)
@@ -237,18 +230,3 @@ def test_models_of_euler_angles_with_a_quaternion(kind):
         np.testing.assert_allclose(ours, theirs, atol=1e-9 * max(1.0, np.abs(theirs).max()))
     np.testing.assert_allclose(rows_of(angles), rows_of(state.euler), atol=1e-9)
     assert plain.pitch_limit < np.pi / 2 and model.pitch_limit == np.inf
-
-
-@pytest.mark.parametrize("name", VEHICLES)
-def test_accelerometer_measures_the_forces_without_gravity(name):
-    model, _ = vehicle_of(name)
-    state = state_of(ref.random_states(*RANGES[name], 8, seed=7))
-
-    def forces(params, state):
-        slope = model.derivative(params, state, state.actuators)
-        gravity = Vec3.zero().replace(z=params.constants.g)
-        expected = state.to_body(slope.velocity - gravity)
-        return model.specific_force(params, state), expected
-
-    found, expected = by_rows(forces)(params_of(name), state)
-    np.testing.assert_allclose(rows_of(found), rows_of(expected), atol=1e-9)
