@@ -123,7 +123,11 @@ class LearnerSection(Section):
         """
         check_integer("steps", steps, 1, 10**12)
         check_integer("seed", seed, 0, MAX_SEED)
-        networks = self._networks(environment, network)
+        networks = network or Network()
+        if isinstance(networks, Network):
+            sizes = environment.observation_size, environment.action_size, networks.hidden
+            clipped = self.noise_on == "clipped_mean"
+            networks = Networks(*sizes, networks.activation, clipped)
         learner, plan = self._learner(environment, networks, params, steps, schedules or {})
         state = jax.jit(learner.init)(learner.hyper, params, jax.random.key(seed))
         mesh = choose_mesh("auto", state)
@@ -143,13 +147,6 @@ class LearnerSection(Section):
             metrics={name: np.concatenate([h[name] for h in history]) for name in history[0]},
             steps=plan.steps,
         )
-
-    def _networks(self, environment: Environment, network: Network | Networks | None) -> Networks:
-        section = network or Network()
-        if not isinstance(section, Network):
-            return section
-        sizes = environment.observation_size, environment.action_size, section.hidden
-        return Networks(*sizes, section.activation, self.noise_on == "clipped_mean")
 
     def _learner(
         self,

@@ -215,11 +215,6 @@ def loses_attitude(step: Step) -> jax.Array | None:
     return exceeds(*((x, None if deg is None else jnp.radians(deg)) for x, deg in angles))
 
 
-def is_not_finite(step: Step) -> jax.Array:
-    """Whether a number of the vehicle's state is not finite."""
-    return ~jnp.isfinite(sum(jax.tree.leaves(step.drone)))
-
-
 # What ends an episode as a crash, by the text that says why: the first that applies is reported.
 # A function gives None where the race has no such rule. The rules of a user come after these.
 HIT_A_GATE = "hit a gate"  # its plane crossed outside the opening, or a frame touched
@@ -234,7 +229,7 @@ TERMINATIONS: dict[str, Termination] = {
         (step.body_rates.z, step.params.training_limits.yaw_rate)
     ),
     "lost its attitude": loses_attitude,
-    NOT_FINITE: is_not_finite,
+    NOT_FINITE: lambda step: ~jnp.isfinite(sum(jax.tree.leaves(step.drone))),
     "above the speed limit": lambda step: exceeds(
         (safe_norm(step.velocity), step.params.rules.speed_limit)
     ),

@@ -154,6 +154,10 @@ def build_track(section: TrackSection) -> Track:
         ahead = AHEAD * jnp.stack([cosine[-1], sine[-1], jnp.zeros_like(sine[-1])])
         to_next, next_yaw = to_next.at[-1].set(ahead), next_yaw.at[-1].set(0.0)
     x, y, z = Vec3.of(to_next).components()
+    start = None
+    if section.start is not None:
+        place, angle = section.start.position, math.radians(section.start.yaw_deg)
+        start = Pose(Vec3(*map(jnp.float32, place)), jnp.float32(angle), place[2] == 0)
     return Track(
         position=Vec3.of(position),
         yaw=yaw,
@@ -165,14 +169,9 @@ def build_track(section: TrackSection) -> Track:
         next_yaw=wrap_angle(next_yaw),
         attitude=attitude(Vec3(roll, pitch, yaw)) if tilt.any() else None,
         circle=jnp.asarray(circle) if circle.any() else None,
-        start=None if section.start is None else _pose(section.start),
+        start=start,
         closed=closed,
     )
-
-
-def _pose(start: TrackStart) -> Pose:
-    yaw, on_ground = jnp.float32(math.radians(start.yaw_deg)), start.position[2] == 0
-    return Pose(Vec3(*map(jnp.float32, start.position)), yaw, on_ground)
 
 
 @functools.lru_cache(maxsize=4)

@@ -19,25 +19,14 @@ Kind = TypeVar("Kind")
 KEY = "constant"
 
 
+Sign = Literal["positive", "nonnegative", "any"]
+
+
 @dataclasses.dataclass(frozen=True)
 class Declaration:
-    """What is declared of a constant; see ``constant``."""
+    """What is declared of a constant.
 
-    unit: str = ""
-    group: str | None = None
-    sign: Literal["positive", "nonnegative", "any"] = "any"
-    above: str | None = None
-
-
-def constant(
-    unit: str = "",
-    group: str | None = None,
-    sign: Literal["positive", "nonnegative", "any"] = "any",
-    above: str | None = None,
-) -> Any:
-    """A field of a dataclass of constants.
-
-    Args:
+    Attributes:
         unit: of the number.
         group: key of the config's section ``randomization`` that scales the constant. The group
             ``inertia`` is in the order x, y, z; the constants of the group ``lag`` are time
@@ -46,6 +35,17 @@ def constant(
         above: name of the constant that is the lower end of the range whose upper end this is:
             0 <= lower < upper.
     """
+
+    unit: str = ""
+    group: str | None = None
+    sign: Sign = "any"
+    above: str | None = None
+
+
+def constant(
+    unit: str = "", group: str | None = None, sign: Sign = "any", above: str | None = None
+) -> Any:
+    """A field of a dataclass of constants; see ``Declaration``."""
     return struct.field(metadata={KEY: Declaration(unit, group, sign, above)})
 
 

@@ -10,6 +10,7 @@ from flax import struct
 
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.vehicle.constants import constant
+from quadjax.vehicle.motor import angular_acceleration
 from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
 from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 
@@ -50,16 +51,16 @@ class RotorThrust(VehicleModel):
 
     def force_moment(self, params: VehicleParams, body: BodyState) -> tuple[Vec3, Vec3]:
         """Specific force, m/s^2, and angular acceleration, rad/s^2."""
-        c, p, q, r = params.constants, body.rates.x, body.rates.y, body.rates.z
+        c, zero = params.constants, jnp.zeros_like(body.actuators.w1)
         t1, t2, t3, t4 = body.actuators.components()
         torque = c.turning * body.actuators
-        spin = Vec3(
-            (c.arm_y * (t1 - t2 - t3 + t4) + (c.i_yy - c.i_zz) * q * r) / c.i_xx,
-            (c.arm_x * (t1 + t2 - t3 - t4) + (c.i_zz - c.i_xx) * r * p) / c.i_yy,
-            (c.k_torque * sum(torque.components()) + (c.i_xx - c.i_yy) * p * q) / c.i_zz,
+        moment = Vec3(
+            c.arm_y * (t1 - t2 - t3 + t4),
+            c.arm_x * (t1 + t2 - t3 - t4),
+            c.k_torque * sum(torque.components()),
         )
-        zero = jnp.zeros_like(t1)
-        return Vec3(zero, zero, -(t1 + t2 + t3 + t4) / c.mass), spin
+        force = Vec3(zero, zero, -(t1 + t2 + t3 + t4) / c.mass)
+        return force, angular_acceleration(c, moment, body.rates)
 
     def command_range(self, c: RotorThrustConstants) -> tuple[Rotors, Rotors]:
         """Lowest and highest thrust of each rotor, N."""

@@ -1,8 +1,8 @@
 """Quantities derived from the constants of a vehicle model, and warnings of implausible ones."""
 
-import dataclasses
 import itertools
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,17 +16,11 @@ STEPS, SECONDS = 100, 0.1  # of a simulated command
 TYPICAL_RATES = {"roll": (0.5, 150.0), "pitch": (0.5, 150.0), "yaw": (0.05, 60.0)}  # rad/s
 
 
-@dataclasses.dataclass(frozen=True)
-class VehicleSummary:
-    """Quantities derived from the constants of a vehicle.
+class VehicleSummary(NamedTuple):
+    """Quantities derived from the constants of a vehicle."""
 
-    Attributes:
-        lines: of text that describe them.
-        warnings: implausible values, which are probably in a wrong unit.
-    """
-
-    lines: list[str]
-    warnings: list[str]
+    lines: list[str]  # of text that describe them
+    warnings: list[str]  # implausible values, which are probably in a wrong unit
 
 
 def summarize(model: VehicleModel, values: Mapping[str, float]) -> VehicleSummary:
