@@ -18,11 +18,13 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from quadjax.core.environment import Environment, vectorize
+from quadjax.core.environment import Environment
 from quadjax.core.sections import Field, Fraction, Positive, Unit, model_validator
-from quadjax.core.traced import as_leaves, register
+from quadjax.core.traced import register
 from quadjax.learners.rollout import (
     Steps,
+    Task,
+    bind,
     clip,
     descend,
     draw,
@@ -102,35 +104,22 @@ class PPO(LearnerSection):
 
     def make(self, environment: Environment, networks: Networks, num_updates: int) -> Learner:
         """The learner on an environment; see ``LearnerSection.make``."""
-        batched = vectorize(environment)
-        return Learner(
-            init=functools.partial(_init, batched, networks),
-            update=functools.partial(_update, batched, networks),
-            hyper=as_leaves(self),
-            steps_per_update=self.num_envs * self.rollout_length,
-        )
+        return bind(self, self.rollout_length, environment, networks, _init, _update)
 
 
-def _init(
-    environment: Environment, networks: Networks, hyper: PPO, env_params: Any, key: jax.Array
-) -> TrainState:
-    log_std = hyper.initial_log_std
-    state = first_state(environment, networks, env_params, key, hyper.num_envs, log_std)
+def _init(task: Task, hyper: PPO, key: jax.Array) -> TrainState:
+    state = first_state(task, key, hyper.num_envs, hyper.initial_log_std)
     return dataclasses.replace(state, optimizer=_optimizer(hyper).init(state.params))
 
 
-def _update(
-    environment: Environment, networks: Networks, hyper: PPO, env_params: Any, state: TrainState
-) -> tuple[TrainState, Metrics]:
+def _update(task: Task, hyper: PPO, state: TrainState) -> tuple[TrainState, Metrics]:
     key, rollout_key, shuffle_key = jax.random.split(state.key, 3)
-    environment_state, (steps, log_prob) = collect(
-        environment, networks, hyper, env_params, state, rollout_key
-    )
+    environment_state, (steps, log_prob) = collect(task, hyper, state, rollout_key)
     # One time step after another: hidden layers of all steps at once would need much memory.
-    value = jax.lax.map(lambda x: networks.value(state.params, x), steps.observation)
+    value = jax.lax.map(lambda x: task.networks.value(state.params, x), steps.observation)
     target = td_lambda(steps, hyper.discount, hyper.gae_lambda, hyper.reward_scale)
     batch = Batch(steps.observation, steps.action, log_prob, target - value, target)
-    step = functools.partial(_gradient_step, networks, hyper)
+    step = functools.partial(_gradient_step, task.networks, hyper)
     sizes = (hyper.num_epochs, hyper.num_minibatches, hyper.shuffle_block or hyper.rollout_length)
     start = (state.params, state.optimizer)
     (params, optimizer), metrics = run_epochs(step, start, batch, shuffle_key, *sizes)
@@ -156,12 +145,7 @@ class Batch:
 
 
 def collect(
-    environment: Environment,
-    networks: Networks,
-    hyper: PPO,
-    env_params: Any,
-    state: TrainState,
-    key: jax.Array,
+    task: Task, hyper: PPO, state: TrainState, key: jax.Array
 ) -> tuple[Any, tuple[Steps, jax.Array]]:
     """Simulate ``rollout_length`` steps of every environment with sampled actions.
 
@@ -175,14 +159,12 @@ def collect(
     """
     total, params = hyper.rollout_length, state.params
     length = max(d for d in range(1, min(total, MAX_RESET_INTERVAL) + 1) if total % d == 0)
-    shape = (length, hyper.num_envs, networks.action_size)
+    shape = (length, hyper.num_envs, task.networks.action_size)
 
     def interval(state: Any, key: jax.Array) -> tuple[Any, tuple[Steps, jax.Array]]:
-        fresh, noise = draw(environment, env_params, key, shape)
+        fresh, noise = draw(task, key, shape)
         scaled = jnp.broadcast_to(jnp.exp(params.log_std), shape) * noise
-        state, steps = rollout(
-            environment, networks, env_params, params, params, state, fresh, scaled
-        )
+        state, steps = rollout(task, params, params, state, fresh, scaled)
         # The density of an action about its mean is that of its noise about zero.
         return state, (steps, log_probability(scaled, jnp.zeros(shape), params.log_std))
 

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from quadjax.core.environment import Environment, where_done
+from quadjax.core.environment import Environment, vectorize, where_done
 from quadjax.core.gradients import Scalar
+from quadjax.core.traced import as_leaves
 from quadjax.learners.parallel import AXIS, constrain
-from quadjax.learners.state import ActorCritic, Metrics, Networks, TrainState
+from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, TrainState
 
 Carry = TypeVar("Carry")
 Results = TypeVar("Results")
@@ -31,46 +32,61 @@ class Steps:
     completed: jax.Array | None  # (time, n), where the environment reports it
 
 
-def first_state(
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """What a learner is bound to, and the present numbers of the environment."""
+
+    environment: Environment  # of many agents: states are batched along the last axis
+    networks: Networks
+    env_params: Any  # traced
+
+
+def bind(
+    section: Any,
+    length: int,
     environment: Environment,
     networks: Networks,
-    env_params: Any,
-    key: jax.Array,
-    num_envs: int,
-    log_std: Scalar,
-) -> TrainState:
+    init: Callable[[Task, Any, jax.Array], TrainState],
+    update: Callable[[Task, Any, TrainState], tuple[TrainState, Metrics]],
+) -> Learner:
+    """The learner of a section, whose updates have a ``length`` of steps in ``num_envs`` agents.
+
+    ``init(task, hyper, key)`` and ``update(task, hyper, state)`` are those of the algorithm.
+    """
+    batched = vectorize(environment)
+    return Learner(
+        init=lambda hyper, params, key: init(Task(batched, networks, params), hyper, key),
+        update=lambda hyper, params, state: update(Task(batched, networks, params), hyper, state),
+        hyper=as_leaves(section),
+        steps_per_update=section.num_envs * length,
+    )
+
+
+def first_state(task: Task, key: jax.Array, num_envs: int, log_std: Scalar) -> TrainState:
     """A run's first state, without an optimizer, a target and a moving average."""
     network_key, reset_key, key = jax.random.split(key, 3)
-    params = networks.init(network_key)
+    params, keys = task.networks.init(network_key), jax.random.split(reset_key, num_envs)
     return TrainState(
         params=dataclasses.replace(params, log_std=jnp.full_like(params.log_std, log_std)),
         optimizer=(),
         target=None,
-        environment=environment.reset(env_params, jax.random.split(reset_key, num_envs)),
+        environment=task.environment.reset(task.env_params, keys),
         key=key,
         update=jnp.zeros((), jnp.int32),
     )
 
 
-def draw(
-    environment: Environment, env_params: Any, key: jax.Array, shape: tuple[int, int, int]
-) -> tuple[Any, jax.Array]:
-    """Random states that episodes restart from, and standard normal noise of the actions.
-
-    The environment is of many agents (``quadjax.core.environment.vectorize``); ``shape`` is that of
-    the noise: (time, n, actions).
-    """
+def draw(task: Task, key: jax.Array, shape: tuple[int, int, int]) -> tuple[Any, jax.Array]:
+    """Random states that episodes restart from, and standard normal noise (time, n, actions)."""
     reset_key, noise_key = jax.random.split(key)
     keys = constrain(jax.random.split(reset_key, shape[1]), AXIS)
     noise = constrain(jax.random.normal(noise_key, shape), None, AXIS)
-    return environment.reset(env_params, keys), noise
+    return task.environment.reset(task.env_params, keys), noise
 
 
 def rollout(
-    environment: Environment,
-    networks: Networks,
-    env_params: Any,
-    params: ActorCritic,
+    task: Task,
+    actor: ActorCritic,
     critic: ActorCritic,
     state: Any,
     fresh: Any,
@@ -80,12 +96,10 @@ def rollout(
     """Simulate every environment with noise on its actions; differentiable if they are.
 
     Args:
-        environment: of many agents.
-        networks: the policy and the value.
-        env_params: traced parameters of the environment.
-        params: of the policy.
+        task: the environment and the networks.
+        actor: parameters of the policy.
         critic: parameters whose value ``next_value`` is.
-        state: environment states, batched along the last axis.
+        state: environment states.
         fresh: the states that an ended episode restarts from.
         noise: (time, n, actions) to add to the mean action.
         through: applied to the states before each step.
@@ -94,18 +108,19 @@ def rollout(
         The environment states after the last step, reset where an episode ended, and the steps. No
         gradient flows through their observations and actions.
     """
+    environment, networks, params = task.environment, task.networks, task.env_params
 
     def step(state: Any, noise: jax.Array) -> tuple[Any, Steps]:
         state = through(state)
-        observation = environment.observe(env_params, state)
-        action = networks.mean(params, observation) + noise
-        following, reward, terminated, truncated = environment.step(env_params, state, action)
+        observation = environment.observe(params, state)
+        action = networks.mean(actor, observation) + noise
+        following, reward, terminated, truncated = environment.step(params, state, action)
         completed = environment.completed
         steps = Steps(
             observation=jax.lax.stop_gradient(observation),
             action=jax.lax.stop_gradient(action),
             reward=reward,
-            next_value=networks.value(critic, environment.observe(env_params, following)),
+            next_value=networks.value(critic, environment.observe(params, following)),
             terminated=terminated,
             truncated=truncated,
             completed=None if completed is None else completed(state, following),

@@ -9,7 +9,6 @@ A target critic and the moving average that is evaluated follow the parameters.
 """
 
 import dataclasses
-import functools
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import jax
@@ -17,13 +16,15 @@ import jax.numpy as jnp
 import optax
 from jax.sharding import PartitionSpec
 
-from quadjax.core.environment import Environment, vectorize
+from quadjax.core.environment import Environment
 from quadjax.core.gradients import Scalar, scale_and_clip_cotangent
 from quadjax.core.sections import Field, Fraction, Positive, Unit, model_validator
-from quadjax.core.traced import as_leaves, register
+from quadjax.core.traced import register
 from quadjax.learners.parallel import AXIS, SHARED, split_last, sum_over_devices
 from quadjax.learners.rollout import (
     Steps,
+    Task,
+    bind,
     clip,
     descend,
     draw,
@@ -104,13 +105,7 @@ class SHAC(LearnerSection):
 
     def make(self, environment: Environment, networks: Networks, num_updates: int) -> Learner:
         """The learner on a differentiable environment; see ``LearnerSection.make``."""
-        batched = vectorize(environment)
-        return Learner(
-            init=functools.partial(_init, batched, networks),
-            update=functools.partial(_update, batched, networks),
-            hyper=as_leaves(self),
-            steps_per_update=self.num_envs * self.horizon,
-        )
+        return bind(self, self.horizon, environment, networks, _init, _update)
 
 
 def _adam(hyper: SHAC, rate: Scalar) -> optax.GradientTransformation:
@@ -118,11 +113,8 @@ def _adam(hyper: SHAC, rate: Scalar) -> optax.GradientTransformation:
     return optax.chain(adam, optax.scale(-jnp.asarray(rate)))
 
 
-def _init(
-    environment: Environment, networks: Networks, hyper: SHAC, env_params: Any, key: jax.Array
-) -> TrainState:
-    log_std = jnp.log(hyper.std)
-    state = first_state(environment, networks, env_params, key, hyper.num_envs, log_std)
+def _init(task: Task, hyper: SHAC, key: jax.Array) -> TrainState:
+    state = first_state(task, key, hyper.num_envs, jnp.log(hyper.std))
     params, adam = state.params, _adam(hyper, 0.0)
     return dataclasses.replace(
         state,
@@ -132,17 +124,13 @@ def _init(
     )
 
 
-def _update(
-    environment: Environment, networks: Networks, hyper: SHAC, env_params: Any, state: TrainState
-) -> tuple[TrainState, Metrics]:
+def _update(task: Task, hyper: SHAC, state: TrainState) -> tuple[TrainState, Metrics]:
     key, rollout_key, shuffle_key = jax.random.split(state.key, 3)
-    loss, gradient, environment_state, steps = collect_gradient(
-        environment, networks, hyper, env_params, state, rollout_key
-    )
+    loss, gradient, environment_state, steps = collect_gradient(task, hyper, state, rollout_key)
     carry, clipped = (state.params.policy, state.optimizer[0]), clip(gradient, hyper.max_grad_norm)
     adam = _adam(hyper, hyper.learning_rate)
     (policy, policy_optimizer), skipped = descend(adam, clipped, carry)
-    value, value_optimizer, critic_metrics = fit_critic(networks, hyper, state, steps, shuffle_key)
+    value, value_optimizer, critic_metrics = fit_critic(task, hyper, state, steps, shuffle_key)
     log_std = jnp.full_like(state.params.log_std, jnp.log(hyper.std))
     params = ActorCritic(policy=policy, log_std=log_std, value=value)
     following = state.following(
@@ -164,12 +152,7 @@ def _update(
 
 
 def collect_gradient(
-    environment: Environment,
-    networks: Networks,
-    hyper: SHAC,
-    env_params: Any,
-    state: TrainState,
-    key: jax.Array,
+    task: Task, hyper: SHAC, state: TrainState, key: jax.Array
 ) -> tuple[jax.Array, Any, Any, Steps]:
     """A rollout, and the gradient of the policy's loss through it.
 
@@ -179,21 +162,20 @@ def collect_gradient(
         The loss (), its gradient, the environment states after the rollout, and its steps, without
         gradients.
     """
-    shape = (hyper.horizon, hyper.num_envs, networks.action_size)
-    fresh, noise = draw(environment, env_params, key, shape)
+    shape = (hyper.horizon, hyper.num_envs, task.networks.action_size)
+    fresh, noise = draw(task, key, shape)
 
     def differentiate(shared: Any, states: Any, noise: jax.Array) -> tuple[Any, Any]:
         """The sums over environments of loss and gradient; states and steps."""
         (hyper, env_params, params, target), (state, fresh) = shared, states
+        here = dataclasses.replace(task, env_params=env_params)
 
         def through(state: Any) -> Any:
             return scale_and_clip_cotangent(state, hyper.cotangent_decay, hyper.cotangent_clip)
 
         def loss(policy: Any) -> tuple[jax.Array, tuple[Any, Steps]]:
             actor = dataclasses.replace(params, policy=policy)
-            end, steps = rollout(
-                environment, networks, env_params, actor, target, state, fresh, noise, through
-            )
+            end, steps = rollout(here, actor, target, state, fresh, noise, through)
             return -total_return(steps, hyper), (end, steps)
 
         (value, rest), gradient = jax.value_and_grad(loss, has_aux=True)(params.policy)
@@ -201,7 +183,7 @@ def collect_gradient(
 
     split, time_first = split_last(state.environment), PartitionSpec(None, AXIS)
     specs, results = (SHARED, (split, split), time_first), (split, time_first)
-    shared = (hyper, env_params, state.params, state.target)
+    shared = (hyper, task.env_params, state.params, state.target)
     sums, (environment_state, steps) = sum_over_devices(differentiate, specs, results)(
         shared, (state.environment, fresh), hyper.std * noise
     )
@@ -230,7 +212,7 @@ def total_return(steps: Steps, hyper: SHAC) -> jax.Array:
 
 
 def fit_critic(
-    networks: Networks, hyper: SHAC, state: TrainState, steps: Steps, key: jax.Array
+    task: Task, hyper: SHAC, state: TrainState, steps: Steps, key: jax.Array
 ) -> tuple[Any, optax.OptState, Metrics]:
     """Regression of the critic to TD(lambda) targets (Xu et al., 2022, eq. 7).
 
@@ -243,7 +225,8 @@ def fit_critic(
     adam = _adam(hyper, hyper.critic_learning_rate)
 
     def loss(value: Any, observation: jax.Array, target: jax.Array) -> jax.Array:
-        predicted = networks.value(dataclasses.replace(state.params, value=value), observation)
+        params = dataclasses.replace(state.params, value=value)
+        predicted = task.networks.value(params, observation)
         return jnp.mean((predicted - target) ** 2)
 
     def step(carry: Any, rows: tuple[jax.Array, jax.Array]) -> tuple[Any, jax.Array]:
