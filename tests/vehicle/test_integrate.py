@@ -1,3 +1,5 @@
+"""Angles, vectors and steps of integration; the models test rotations against the reference."""
+
 import functools
 
 import jax
@@ -5,18 +7,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.core import frames
 from quadjax.core.integrators import INTEGRATORS, euler_step, rk4_loop_step, rk4_step
+from quadjax.core.vectors import safe_norm
 from quadjax.vehicle import motor
 from quadjax.vehicle.protocol import VehicleParams
 from tests import reference as ref
-from tests.convert import command_of, constants, rows_of, state_of
+from tests.convert import command_of, constants, rows_of, state_of, vec3
 from tests.promotion import QUICK
 
 TIME = 0.32
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _double():
+@pytest.fixture
+def double():
     with jax.enable_x64(True):
         yield
 
@@ -30,8 +34,7 @@ def fly(name, params, state, command, time, steps):
     )
 
 
-@pytest.fixture(scope="module")
-def start():
+def begin():
     rows = ref.random_states("motor", 1, seed=5)[0]
     rows[ref.EULER], rows[ref.RATES] = [0.2, -0.3, 1.0], [1.0, -0.5, 0.3]
     rows[ref.V], rows[ref.RPM] = [1.0, -0.5, 0.2], [7000, 7200, 7100, 6900]
@@ -39,6 +42,7 @@ def start():
     return state_of("motor", rows), command_of("motor", np.array([7600.0, 7400, 7500, 7700]))
 
 
+@pytest.mark.usefixtures("double")
 def test_one_step_of_each():
     """On x' = -x: Euler keeps one term of the series, Runge-Kutta five."""
     state = {"x": jnp.asarray(2.0)}
@@ -50,8 +54,9 @@ def test_one_step_of_each():
 
 
 @pytest.mark.parametrize(("name", "order"), [("euler", 1), ("rk4", 4)])
-def test_order_of_convergence(start, name, order):
-    params = VehicleParams(constants("motor", ref.MOTOR))
+@pytest.mark.usefixtures("double")
+def test_order_of_convergence(name, order):
+    params, start = VehicleParams(constants("motor", ref.MOTOR)), begin()
     exact = rows_of(fly("rk4", params, *start, TIME, 1024))
     errors = [
         np.abs(rows_of(fly(name, params, *start, TIME, steps)) - exact)[:12].max()
@@ -61,17 +66,39 @@ def test_order_of_convergence(start, name, order):
     assert np.all(np.abs(measured - order) < 0.25), measured
 
 
-def test_torque_free_tumbling_keeps_its_angular_momentum(start):
-    names = ("k_p", "k_q", "k_pv", "k_qv", "k_r1", "k_r2", "k_rr")
-    params = VehicleParams(constants("motor", ref.MOTOR | dict.fromkeys(names, 0.0)))
-    rates = jax.tree.map(lambda x: 4 * x, start[0].rates)
-    state = start[0].replace(rates=rates)  # without an external moment
-    inertia = np.array([0.000906, 0.001242, 0.002054])
+def test_sincos_stays_within_1e_7_over_20_rad():
+    angle = np.linspace(-20, 20, 400_001).astype(np.float32)
+    sine, cosine = jax.jit(frames.sincos)(angle)
+    assert np.max(np.abs(np.asarray(sine, float) - np.sin(angle.astype(float)))) < 1e-7
+    assert np.max(np.abs(np.asarray(cosine, float) - np.cos(angle.astype(float)))) < 1e-7
 
-    def momentum(state):
-        rows = rows_of(state)
-        return ref.rotation(rows[ref.EULER]) @ (inertia * rows[ref.RATES])
 
-    tumbled = fly("rk4", params, state, start[1], TIME, 256)
-    np.testing.assert_allclose(momentum(tumbled), momentum(state), rtol=1e-7)
-    assert np.abs(rows_of(tumbled)[ref.RATES] - rows_of(state)[ref.RATES]).max() > 0.1
+@pytest.mark.parametrize("wide", [False, True])
+def test_sincos_derivative(wide):
+    angle = np.linspace(-20, 20, 1001)
+    with jax.enable_x64(wide):
+        x = jnp.asarray(angle, jnp.float64 if wide else jnp.float32)
+        slopes = [jax.grad(lambda a, i=i: frames.sincos(a)[i]) for i in (0, 1)]
+        d_sine, d_cosine = jax.jit(jax.vmap(lambda a: [slope(a) for slope in slopes]))(x)
+        assert d_sine.dtype == x.dtype
+    tolerance = 1e-12 if wide else 1e-6
+    np.testing.assert_allclose(d_sine, np.cos(np.asarray(x, float)), atol=tolerance)
+    np.testing.assert_allclose(d_cosine, -np.sin(np.asarray(x, float)), atol=tolerance)
+
+
+def test_wrap_angle():
+    angle = np.linspace(-30, 30, 2001).astype(np.float32)
+    wrapped, gradient = jax.jit(jax.vmap(jax.value_and_grad(frames.wrap_angle)))(angle)
+    wrapped = np.asarray(wrapped, float)
+    assert np.max(np.abs(wrapped)) <= np.pi + 1e-5
+    turns = (angle - wrapped) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-5)
+    np.testing.assert_array_equal(gradient, 1.0)
+
+
+def test_safe_norm():
+    both = jax.jit(jax.vmap(jax.value_and_grad(safe_norm)))
+    length, slope = both(vec3(np.float32([[3, 0, -4], [0, 0, 0]])))
+    assert length[0] == 5
+    np.testing.assert_array_equal([x[1] for x in slope], [0, 0, 0])
+    np.testing.assert_allclose([x[0] for x in slope], [0.6, 0, -0.8], rtol=1e-6)

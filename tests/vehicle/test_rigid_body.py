@@ -9,7 +9,6 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.core import quaternion
-from quadjax.core.integrators import euler_step
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Rotors, Vec3
@@ -151,50 +150,6 @@ def test_drawn_curvature_of_the_motor_map_stays_valid():
     )
     np.testing.assert_array_equal(found, linear)
     np.testing.assert_allclose(linear[:, 0], 238.49 + u * (3295.5 - 238.49))
-
-
-ATTITUDES = {
-    "level": (0.2, -0.3, 1.0),
-    "pitch 90 deg": (0.4, np.pi / 2, 0.3),
-    "inverted": (np.pi, 0.1, -2.0),
-}
-
-
-@pytest.mark.parametrize("name", ["a2rl", "cpc"])
-def test_gradient_of_a_flight(name):
-    """Automatic derivatives of a flight of ten steps against central differences.
-
-    At attitudes with and without angles; one number of each flight's end, in one program for all.
-    """
-    model, params = vehicle_of(name)[0], params_of(name)
-    actions = np.random.default_rng(3).uniform(0.3, 0.7, (10, 4))
-    weights = np.random.default_rng(4).normal(size=17) * ([1.0] * 13 + [1e-3] * 4)
-
-    def end(params, row, actions):
-        def one(state, action):
-            command = Rotors.of(action)
-            slope = functools.partial(model.derivative, params, command=command)
-            after = euler_step(slope, state, 0.01)
-            return model.hold(after, command).wrapped(), None
-
-        state, _ = jax.lax.scan(one, state_of(row), actions)
-        return jnp.dot(jnp.stack(jax.tree.leaves(state)), weights)
-
-    hover = by_rows(lambda c, euler: model.hover(c, Motion(*moving, euler, Vec3(3.0, -5.0, 2.0))))
-    moving = Vec3.zero(), Vec3(8.0, -3.0, 2.0)
-    euler = Vec3(*np.array(list(ATTITUDES.values())).T)
-    rows = rows_of(hover(params.constants, euler))
-    size = np.where(np.arange(17) < 13, 1e-5, 1e-2)
-    moves = np.concatenate([np.zeros((1, 17)), np.diag(size), -np.diag(size)])
-    moved = (rows[:, None] + moves).reshape(-1, 17)
-    both = by_rows(lambda params, row, a: jax.value_and_grad(end, (1, 2))(params, row, a))
-    value, slopes = both(params, moved, np.broadcast_to(actions, (len(moved), 10, 4)))
-    value, slope, by_action = (x.reshape(3, 35, *x.shape[1:]) for x in (value, *slopes))
-    measured = (value[:, 1:18] - value[:, 18:]) / (2 * size)
-    for index in range(3):
-        tolerance = 1e-6 * np.abs(measured[index]).max()
-        np.testing.assert_allclose(slope[index, 0], measured[index], atol=tolerance)
-    assert np.all(np.isfinite(by_action)) and np.abs(by_action[:, 0]).min() > 0
 
 
 def test_command_at_the_lowest_speed_has_a_finite_gradient():
