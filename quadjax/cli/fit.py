@@ -12,9 +12,8 @@ from quadjax.core.folders import results
 from quadjax.core.resources import find_config
 from quadjax.fitting import fit as fits
 from quadjax.fitting.config import load_fit_config
-from quadjax.fitting.figures import write_figures
 from quadjax.fitting.flight_log import find_logs
-from quadjax.fitting.report import PATTERNS, tables, write_results
+from quadjax.fitting.report import PATTERNS, tables, write_figures, write_results
 
 
 def fit(

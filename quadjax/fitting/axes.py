@@ -7,7 +7,7 @@ import numpy as np
 from flax import struct
 
 from quadjax.fitting.nominal import AXES, EQUATIONS, Constants, residual_output
-from quadjax.fitting.regression import Estimate, Problem, half_seconds, solve
+from quadjax.fitting.regression import Estimate, Parameter, Problem, half_seconds, solve
 from quadjax.fitting.samples import Samples
 from quadjax.fitting.signals import Rows, concatenated
 from quadjax.vehicle.constants import replaced, values_of
@@ -28,16 +28,18 @@ def fit_axes(samples: Samples, base: Constants) -> list[Estimate]:
     equations, values = EQUATIONS[type(base)], values_of(base)
     numbers = np.unique(samples.flight)
     blocks = half_seconds([samples.time[samples.flight == number] for number in numbers])
+
+    def parameter(name: str) -> Parameter:
+        positive, small = name not in equations.either_sign, name in equations.small
+        return Parameter(name, float(values[name]), positive=positive, small=small)
+
     return [
         solve(
             Problem(
                 group=axis,
-                names=names,
-                base=np.array([float(values[name]) for name in names]),
+                parameters=[parameter(name) for name in names],
                 measured=samples.measured[:, AXES.index(axis)],
                 blocks=blocks,
-                positive=[name for name in names if name not in equations.either_sign],
-                small=equations.small,
                 uncertain=equations.uncertain,
                 columns=samples.regressors[axis],
                 noise=samples.noise[axis],

@@ -8,21 +8,36 @@ gain of the log-likelihood over that of the best change within ``logs.max_scale_
 costs little likelihood, or a motor if its exchange does.
 """
 
-from collections.abc import Mapping, Sequence
+import functools
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.fitting import changes as simple
-from quadjax.fitting.changes import Change
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.formats import ATTITUDES
-from quadjax.fitting.identities import VECTORS, Arrays, Signals, evidence_of, signals_of
-from quadjax.fitting.motor_evidence import LAG, motor_evidence, typical_speeds
+from quadjax.fitting.identities import (
+    AXES,
+    MOTORS,
+    VECTORS,
+    Arrays,
+    Change,
+    Evidence,
+    Signals,
+    signals_of,
+)
+from quadjax.fitting.motor_evidence import LAG, MotorEvidence, typical_speeds
 from quadjax.fitting.signals import first_order
 
 EVIDENCE = 6.0  # least gain of log-likelihood that is evidence
 CHECKED = (*VECTORS, *ATTITUDES, "rpm", "motor_command")
+LONGEST_DELAY = 0.6  # s, that is looked for
+SCALES = 1.1 ** np.arange(-48.0, 49.0)
+ANGLES = np.arange(-175.0, 181.0, 5.0)  # deg
+NEGATED = "negated"
+UNRELATED = "of something else"
+ALONE = 6.0  # log-likelihood: the columns of a sensor are rarely late one by one
 Names = Mapping[str, list[str]]
 
 
@@ -99,7 +114,7 @@ def _search(
     signals: Signals, names: Names, form: str, frames: tuple[str, str], config: LogsConfig
 ) -> tuple[list[tuple[str, Change]], np.ndarray]:
     """Quantities and all changes of their columns, the simple ones first, and gains (h,)."""
-    evidence, motors = evidence_of(signals, names, frames), motor_evidence(signals)
+    evidence, motors = Evidence(signals, names, frames), MotorEvidence(signals)
     rows: list[tuple[str, Change]] = []
     gains: list[np.ndarray] = []
 
@@ -108,20 +123,20 @@ def _search(
         gains.append(gained)
 
     largest = config.max_delay
-    group = simple.vector_changes(config.max_scale_error, largest, config.max_angle)
+    group = vector_changes(config.max_scale_error, largest, config.max_angle)
     used = {name for law in evidence.identities for name in law.linear + law.nonlinear}
     for quantity in (name for name in VECTORS if name in names and name in used):
         gained = evidence.gains(quantity, group)
         add(quantity, group, gained + (motors.gains("gyro", group) if quantity == "gyro" else 0.0))
         if form:
-            add(quantity, simple.OTHER_COLUMNS, evidence.gains_unrelated(quantity))
+            add(quantity, OTHER_COLUMNS, evidence.gains_unrelated(quantity))
     if form:
-        group = simple.attitude_changes(form, largest)
+        group = attitude_changes(form, largest)
         add("attitude", group, evidence.gains("attitude", group))
-    group = simple.motor_changes(largest, True)
+    group = motor_changes(largest, True)
     add("rpm" if "rpm" in names else "motor_command", group, motors.gains("speeds", group))
     if "followed" in signals.values:
-        group = simple.motor_changes(largest + 2.0 * LAG, False)
+        group = motor_changes(largest + 2.0 * LAG, False)
         commands = "rpm_command" if "rpm_command" in names else "motor_command"
         add(commands, group, motors.gains("commands", group))
     return rows, np.concatenate(gains)
@@ -134,13 +149,111 @@ def _unchecked(rows: list[tuple[str, Change]], gains: np.ndarray, names: Names) 
     for (quantity, change), gain in zip(rows, gains, strict=True):
         if gain <= -EVIDENCE:
             continue
-        if change.text in (simple.NEGATED, simple.UNRELATED) and len(change.columns) == 1:
+        if change.text in (NEGATED, UNRELATED) and len(change.columns) == 1:
             column = repr(names[quantity][change.columns[0]])
             lines += [column] * (column not in lines)
         if change.spin < 0.0:
             lines.append(f"the direction of the propellers against {names['gyro'][2]!r}")
-        if change.order != simple.MOTORS:
+        if change.order != MOTORS:
             moved.setdefault(quantity, set()).update(change.columns)
     for quantity, columns in moved.items():
         lines.append(f"the order of {_listed([names[quantity][i] for i in sorted(columns)])}")
     return lines
+
+
+OTHER_COLUMNS = tuple(Change((i,), UNRELATED) for i in AXES)
+
+
+@functools.cache
+def vector_changes(scale: float, delay: float, angle: float) -> tuple[Change, ...]:
+    """All changes of the columns of a vector, the simplest first.
+
+    Args:
+        scale: largest relative error that is allowed.
+        delay: largest one that is allowed, s.
+        angle: largest one that is allowed, deg.
+    """
+    delays = [_delays(columns, delay) for columns in (AXES, (0,), (1,), (2,))]
+    return (*_signed(), *_scaled(1.0 + scale), *_rotated(angle), *itertools.chain(*delays))
+
+
+@functools.cache
+def attitude_changes(form: str, delay: float) -> tuple[Change, ...]:
+    """All changes of Euler angles or of a quaternion's vector, and the inverse of a matrix."""
+    if form == "rotation":
+        columns = tuple(range(9))
+        inverse = Change(columns, "of the inverse rotation", matrix=-np.eye(3))
+        return (inverse, *_delays(columns, delay))
+    return (*_signed(), *_delays(AXES, delay))
+
+
+@functools.cache
+def motor_changes(delay: float, speeds: bool) -> tuple[Change, ...]:
+    """All orders and delays of motors; of their speeds also the other direction of propellers.
+
+    Args:
+        delay: largest one that is allowed, s.
+        speeds: whether the columns are speeds, or else commands.
+    """
+    spin = Change(MOTORS, "of propellers that turn the other way", spin=-1.0)
+    orders = [
+        Change(*_reordered(order), order=order)
+        for order in itertools.islice(itertools.permutations(MOTORS), 1, None)
+    ]
+    sizes = np.arange(0.02, LONGEST_DELAY, 0.02)  # s: the speeds change fast
+    return (*[spin] * speeds, *orders, *_delayed(MOTORS, sizes, delay))
+
+
+def _reordered(
+    order: Sequence[int], sign: Sequence[float] = (1.0,) * 4
+) -> tuple[tuple[int, ...], str]:
+    """The columns that an order with signs changes, and how, as text."""
+    moved = tuple(i for i, source in enumerate(order) if source != i or sign[i] < 0.0)
+    if all(order[i] == i for i in moved):
+        return moved, NEGATED
+    if len(moved) == 2 and min(sign) > 0.0:
+        return moved, "swapped"
+    names = ["-" * (sign[i] < 0.0) + f"{{{order[i]}}}" for i in moved]
+    return moved, f"in the order {', '.join(names)}"
+
+
+def _signed() -> Iterator[Change]:
+    """Every order of three columns with every sign, but that of the log."""
+    signs = itertools.product((1.0, -1.0), repeat=3)
+    for order, sign in itertools.product(itertools.permutations(AXES), list(signs)):
+        columns, text = _reordered(order, sign)
+        if columns:
+            matrix = np.eye(3)[list(order)] * np.array(sign)[:, None]
+            yield Change(columns, text, matrix=matrix)
+
+
+def _scaled(largest: float) -> Iterator[Change]:
+    """Scales of all and of single columns."""
+    for columns, factor in itertools.product((AXES, (0,), (1,), (2,)), SCALES):
+        matrix = np.diag([1.0 / factor if i in columns else 1.0 for i in AXES])
+        text = f"{factor:.3g} times too large (logs.units, logs.max_scale_error)"
+        yield Change(columns, text, 1.0 / largest <= factor <= largest, matrix)
+
+
+def _rotated(largest: float) -> Iterator[Change]:
+    """Rotations in each plane of two columns."""
+    for columns, angle in itertools.product(itertools.combinations(AXES, 2), ANGLES):
+        matrix, turn = np.eye(3), np.radians(angle)
+        rotation = [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
+        matrix[np.ix_(columns, columns)] = rotation
+        text = f"rotated by {angle:g} deg (logs.max_angle)"
+        yield Change(columns, text, abs(angle) <= largest, matrix)
+
+
+def _delays(columns: tuple[int, ...], largest: float) -> Iterator[Change]:
+    """Delays of smooth signals, each half as much again as the next shorter one."""
+    sizes = largest * np.array([0.5, 1.0, *(1.5 * 1.4 ** np.arange(30.0))])
+    return _delayed(columns, sizes[sizes <= max(LONGEST_DELAY, largest)], largest)
+
+
+def _delayed(columns: tuple[int, ...], sizes: np.ndarray, largest: float) -> Iterator[Change]:
+    for size, sign in itertools.product(sizes, (1.0, -1.0)):
+        text = f"{size:.3g} s {'late' if sign > 0.0 else 'early'} (logs.max_delay)"
+        unlikely = ALONE if len(columns) == 1 else 0.0
+        delay, allowed = float(sign * size), bool(size <= largest)
+        yield Change(columns, text, allowed, delay=delay, unlikely=unlikely)

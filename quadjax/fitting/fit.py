@@ -27,14 +27,13 @@ from quadjax.fitting.motors import (
     fit_rate_model,
     with_simulated_speeds,
 )
-from quadjax.fitting.nominal import AXES, EQUATIONS, Constants
+from quadjax.fitting.nominal import AXES, EQUATIONS, Constants, units
 from quadjax.fitting.regression import Estimate, check_signs
 from quadjax.fitting.residual import ResidualFit, fit_residuals, zero_residual
 from quadjax.fitting.samples import ALL, LeftOut, Samples, Split, airborne, make_split, prepare
 from quadjax.vehicle.battery import BatteryConfig
 from quadjax.vehicle.constants import replaced, values_of
 from quadjax.vehicle.motor import MotorConstants
-from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
 
 Report = Callable[[str], None]
@@ -78,6 +77,15 @@ class Fit:
     warnings: list[str]
 
     @property
+    def units(self) -> dict[str, str]:
+        """The unit of each axis."""
+        return units(type(self.constants[ALL]))
+
+    def models(self, part: Prediction) -> dict[str, np.ndarray]:
+        """What is predicted (n, 6): by the "nominal" model, and with the "residual" if any."""
+        return {"nominal": part.nominal, **({"residual": part.full} if self.residuals else {})}
+
+    @property
     def fitted_flights(self) -> list[str]:
         """Names of the flights that are fitted, all but the test flights."""
         return [log.name for log in self.logs if log.name not in self.config.split.test_flights]
@@ -110,38 +118,37 @@ def fit(
     logs = read_logs(config.logs, folder, report)
     _check_speeds(config, logs, model)
     report("preparing the samples")
-    rows = [airborne(log, config.logs.min_seconds) for log in logs]
-    times = [log.time[used] - log.time[0] for log, used in zip(logs, rows, strict=True)]
-    split = make_split(times, [log.name for log in logs], config.split)
-    check_keys(config, model, split)
+    fits = _Fits(config, logs, base, model)
     report("fitting the constants")
-    fits = NominalFits(config, logs, rows, split, base.constants(model))
-    if model == "motor":
-        base = _with_rpm_range(base, config.body, logs, fits.samples())
-        fits.base = base.motor
     check_signs(fits.estimates())
-    constants = {left_out: fits.constants(left_out) for left_out in split.complete()}
-    residuals = _residuals(config, fits, report)
-    others, limit = _lags(fits, base, battery)
-    estimates = [*fits.estimates(), *others]
+    complete = fits.split.complete()
+    constants = {left_out: fits.constants(left_out) for left_out in complete}
+    residuals: dict[LeftOut, ResidualFit] = {}
+    if model == "motor" and not config.residual.fit:
+        residuals = dict.fromkeys(complete, zero_residual(fits.base))
+    elif model == "motor":
+        options = fits.constants, config.residual, config.seed, report
+        residuals = fit_residuals(fits.samples(), fits.split, fits.base, *options)
+    lags, limit = fits.lags(battery)
+    estimates = [*fits.estimates(), *lags]
     kept, samples = fits.harmful(), fits.samples()
 
     def predicted(name: str, mask: np.ndarray, left_out: LeftOut) -> Prediction:
         residual = residuals[left_out].residual if residuals else None
         return Prediction.of(name, fits.samples(left_out), mask, constants[left_out], residual)
 
-    parts = split.held_out(samples.flight, [log.name for log in logs])
+    parts = fits.split.held_out(samples.flight, [log.name for log in logs])
     return Fit(
         config=config,
         logs=logs,
         model=model,
-        vehicle=_fitted(base, model, constants[ALL], others, config, logs),
+        vehicle=fits.fitted_vehicle(lags) if config.nominal.fit else fits.vehicle,
         samples=samples,
-        split=split,
+        split=fits.split,
         estimates=estimates,
         constants=constants,
         residuals=residuals,
-        training=predicted("training", split.learned(ALL), ALL),
+        training=predicted("training", fits.split.learned(ALL), ALL),
         held_out=[predicted(*part) for part in parts],
         kept=kept,
         battery=limit,
@@ -149,7 +156,7 @@ def fit(
     )
 
 
-class NominalFits:
+class _Fits:
     """The constants of a model, fitted without some folds; each fit is computed once.
 
     ``motor``: an axis keeps the base vehicle's constants where they are better. Whether they are is
@@ -158,18 +165,27 @@ class NominalFits:
     """
 
     def __init__(
-        self,
-        config: FitConfig,
-        logs: Sequence[FlightLog],
-        rows: Sequence[np.ndarray],
-        split: Split,
-        base: MotorConstants | RacingConstants,
+        self, config: FitConfig, logs: Sequence[FlightLog], vehicle: VehicleFile, model: str
     ) -> None:
-        """Flights, the rows (n,) bool of each that are in flight, their split, and the base."""
-        self.config, self.logs, self.rows, self.split = config, logs, rows, split
-        self.base = base
+        self.config, self.logs, self.vehicle, self.model = config, logs, vehicle, model
+        self.rows = [airborne(log, config.logs.min_seconds) for log in logs]  # (n,) bool of each
+        pairs = zip(logs, self.rows, strict=True)
+        times = [log.time[used] - log.time[0] for log, used in pairs]
+        self.split = make_split(times, [log.name for log in logs], config.split)
+        check_keys(config, model, self.split)
+        self.base: Any = vehicle.constants(model)
         self._fits: dict[LeftOut, tuple[Samples, list[Estimate]]] = {}
         self._measured = all(log.speeds_measured for log in logs)
+        if model == "motor" and config.body.rpm_range is None:
+            # The range of the flights, rounded outwards to hundreds.
+            used = [
+                self.samples().motion.rpm,
+                *(x for x in (g.rpm_command for g in logs) if x is not None),
+            ]
+            low = 100.0 * np.floor(min(float(part.min()) for part in used) / 100.0)
+            high = 100.0 * np.ceil(max(float(part.max()) for part in used) / 100.0)
+            self.base = self.base.replace(rpm_min=max(low, 0.0), rpm_max=high)
+            self.vehicle = vehicle.with_constants(model, self.base)
 
     def samples(self, left_out: LeftOut = ALL) -> Samples:
         """Every row; nothing in them is computed from the folds left out."""
@@ -183,8 +199,7 @@ class NominalFits:
         """The rows (n,) bool of each flight that are in flight and not left out."""
         ends = np.cumsum([int(rows.sum()) for rows in self.rows])[:-1]
         masks = [rows.copy() for rows in self.rows]
-        parts = np.split(self.split.learned(left_out), ends)
-        for mask, learned in zip(masks, parts, strict=True):
+        for mask, learned in zip(masks, np.split(self.split.learned(left_out), ends), strict=True):
             mask[mask] = learned
         return masks
 
@@ -192,7 +207,7 @@ class NominalFits:
         if left_out in self._fits:
             return self._fits[left_out]
         base, motors, logs = self.base, [], self.logs
-        if isinstance(base, RacingConstants):
+        if self.model == "racing":
             motors = [fit_motors(logs, self.masks(left_out), base)]
             logs = [with_simulated_speeds(log, motors[0].values) for log in logs]
         if self._measured and self._fits:
@@ -200,13 +215,13 @@ class NominalFits:
         else:
             samples = prepare(logs, base, self.rows)
         learned = samples[self.split.learned(left_out)]
-        if isinstance(base, RacingConstants):
+        if self.model == "racing":
             base = with_common(learned, base)
         axes = [fit for fit in fit_axes(learned, base) if fit.group in self.config.nominal.axes]
         self._fits[left_out] = samples, [*axes, *motors]
         return self._fits[left_out]
 
-    def _fitted(self, left_out: LeftOut) -> MotorConstants | RacingConstants:
+    def _fitted(self, left_out: LeftOut) -> Constants:
         if not self.config.nominal.fit:
             return self.base
         return with_estimates(self.base, self.estimates(left_out))
@@ -215,8 +230,7 @@ class NominalFits:
         """A line for each axis on which the base vehicle's constants are kept."""
         lines: dict[str, str] = {}
         folds = self.split.inner(left_out)
-        racing = isinstance(self.base, RacingConstants)
-        if len(folds) < 2 or not self.config.nominal.fit or racing:
+        if len(folds) < 2 or not self.config.nominal.fit or self.model == "racing":
             return lines
         for fold in folds:
             part = self.samples()[self.split.fold == fold]
@@ -233,11 +247,37 @@ class NominalFits:
                     )
         return lines
 
-    def constants(self, left_out: LeftOut = ALL) -> MotorConstants | RacingConstants:
+    def constants(self, left_out: LeftOut = ALL) -> Constants:
         """The constants fitted without some folds."""
         of_axis, base = EQUATIONS[type(self.base)].constants, values_of(self.base)
         names = [name for axis in self.harmful(left_out) for name in of_axis[axis]]
         return replaced(self._fitted(left_out), {name: base[name] for name in names})
+
+    def lags(self, battery: BatteryConfig) -> tuple[list[Estimate], BatteryFit | None]:
+        """The motors' lag with the battery's limit, and the rate-and-thrust model."""
+        rows, constants = self.masks(), self.constants()
+        if not isinstance(constants, MotorConstants):
+            return [], None
+        hover = float(np.sqrt(constants.g / (4.0 * constants.k_w)))
+        lag, limit = fit_battery(self.logs, hover, battery, rows, float(constants.tau))
+        if "rate" not in self.vehicle.models:
+            return [lag], limit
+        rate: Any = self.vehicle.constants("rate")
+        return [lag, *fit_rate_model(self.logs, rows, rate)], limit
+
+    def fitted_vehicle(self, lags: Sequence[Estimate]) -> VehicleFile:
+        """The base vehicle with fitted constants; its ``fitted_speed`` is that of the flights."""
+        vehicle = self.vehicle.with_constants(self.model, self.constants())
+        for estimate in lags:
+            of = "rate" if estimate.group == "rate" else "motor"
+            names = vehicle.models[of]
+            found = {name: x for name, x in estimate.constants.items() if name in names}
+            vehicle = vehicle.with_constants(of, names | found)
+        if vehicle.fitted_speed is None:
+            return vehicle
+        tests = self.config.split.test_flights
+        fitted = [log for log in self.logs if log.name not in tests]
+        return replace(vehicle, fitted_speed=highest_speed(fitted))
 
 
 def with_body(base: VehicleFile, body: BodyConfig, model: str = "motor") -> VehicleFile:
@@ -321,65 +361,6 @@ def _check_speeds(config: FitConfig, logs: list[FlightLog], model: str) -> None:
                 f"{log.path}: speeds of up to {fastest:.5g} rpm, body.rpm_range is "
                 f"{list(config.body.rpm_range)}; is logs.units.rpm right?"
             )
-
-
-def _with_rpm_range(
-    base: VehicleFile, body: BodyConfig, logs: list[FlightLog], samples: Samples
-) -> VehicleFile:
-    """The range of the flights, rounded outwards to hundreds, unless the config has one."""
-    if body.rpm_range is not None:
-        return base
-    used = [samples.motion.rpm] + [log.rpm_command for log in logs if log.rpm_command is not None]
-    low = 100.0 * np.floor(min(float(part.min()) for part in used) / 100.0)
-    high = 100.0 * np.ceil(max(float(part.max()) for part in used) / 100.0)
-    return base.with_constants("motor", base.motor.replace(rpm_min=max(low, 0.0), rpm_max=high))
-
-
-def _residuals(config: FitConfig, fits: NominalFits, report: Report) -> dict[LeftOut, ResidualFit]:
-    """Those of each complete fit; empty for a model without a residual."""
-    if isinstance(fits.base, RacingConstants):
-        return {}
-    if not config.residual.fit:
-        return dict.fromkeys(fits.split.complete(), zero_residual(fits.base))
-    options = fits.constants, config.residual, config.seed, report
-    return fit_residuals(fits.samples(), fits.split, fits.base, *options)
-
-
-def _lags(
-    fits: NominalFits, base: VehicleFile, battery: BatteryConfig
-) -> tuple[list[Estimate], BatteryFit | None]:
-    """The motors' lag with the battery's limit, and the rate-and-thrust model."""
-    constants = fits.constants()
-    if isinstance(constants, RacingConstants):
-        return [], None
-    logs, rows = fits.logs, fits.masks()
-    hover = float(np.sqrt(constants.g / (4.0 * constants.k_w)))
-    lag, limit = fit_battery(logs, hover, battery, rows, float(constants.tau))
-    rate: Any = base.constants("rate") if "rate" in base.models else None
-    return [lag, *(fit_rate_model(logs, rows, rate) if rate else ())], limit
-
-
-def _fitted(
-    base: VehicleFile,
-    model: str,
-    constants: Constants,
-    others: Sequence[Estimate],
-    config: FitConfig,
-    logs: Sequence[FlightLog],
-) -> VehicleFile:
-    """The base vehicle with fitted constants; its ``fitted_speed`` is that of the flights."""
-    if not config.nominal.fit:
-        return base
-    vehicle = base.with_constants(model, constants)
-    for estimate in others:
-        of = "rate" if estimate.group == "rate" else "motor"
-        names = vehicle.models[of]
-        found = {name: x for name, x in estimate.constants.items() if name in names}
-        vehicle = vehicle.with_constants(of, names | found)
-    if vehicle.fitted_speed is None:
-        return vehicle
-    fitted = [log for log in logs if log.name not in config.split.test_flights]
-    return replace(vehicle, fitted_speed=highest_speed(fitted))
 
 
 def _warnings(

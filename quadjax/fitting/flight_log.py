@@ -18,14 +18,7 @@ from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.consistency import check_consistency
 from quadjax.fitting.formats import COMMANDS, QUANTITIES, Quantities, log_format
 from quadjax.fitting.log_table import LogTable, read_csv, read_head
-from quadjax.fitting.magnitudes import (
-    Recording,
-    check_attitude,
-    check_columns,
-    check_levels,
-    check_thrust,
-    check_time,
-)
+from quadjax.fitting.magnitudes import check_attitude, check_columns, check_time
 from quadjax.fitting.motor_evidence import typical_speeds
 from quadjax.fitting.quantities import (
     called,
@@ -180,11 +173,11 @@ def read_log(path: Path | str, config: LogsConfig) -> FlightLog:
         columns = called(form.read, path, Path(path))
         if not isinstance(columns, Mapping):
             raise InputError(f"{path}: the reader gives {columns!r:.40}, expected columns by name")
-        return _log(path, LogTable(columns), config)
+        return _log(LogTable(str(path), columns), config)
     header = read_head(path, form.settings)[0]
     wanted = wanted_columns(path, config, form, header)
     names = [name for group in wanted.values() for name in group]
-    return _log(path, read_csv(path, names, form.settings), config)
+    return _log(read_csv(path, names, form.settings), config)
 
 
 def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) -> FlightLog:
@@ -192,35 +185,31 @@ def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) ->
 
     Arguments and errors as ``read_log``; the stem of the path is the name of the log.
     """
-    return _log(path, LogTable(columns, first_row=2), config)
+    return _log(LogTable(str(path), columns, first_row=2), config)
 
 
-def _log(path: Path | str, table: LogTable, config: LogsConfig) -> FlightLog:
-    form = log_format(config.format)
+def _log(table: LogTable, config: LogsConfig) -> FlightLog:
+    form, path = log_format(config.format), table.path
     names = wanted_columns(path, config, form, list(table.columns))
-    quantities = quantities_of(path, table, names, config, form)
-    recording = Recording(str(path), table.where, names, quantities)
-    check_time(recording, config)
-    check_attitude(recording)
+    quantities = quantities_of(table, names, config, form)
+    check_time(table, names, quantities, config)
+    check_attitude(table, names, quantities)
     if form.adjust is not None:
-        adjusted = called(form.adjust, path, quantities, table.settings)
-        recording = replace(recording, quantities=adjusted)
-    check_columns(recording)
-    check_levels(recording, 1.0 + config.max_scale_error)
+        quantities = called(form.adjust, path, quantities, table.settings)
+    check_columns(table, names, quantities, config)
     frames = (config.body_frame or form.body_frame, config.world_frame or form.world_frame)
-    standard, frames = to_standard_frames(recording.quantities, *frames)
-    check_thrust(replace(recording, quantities=standard))
+    standard, frames = to_standard_frames(quantities, *frames)
     if frames[1] == "ENU":  # the names in the order of north, east, down
         world = [name for name in names if QUANTITIES[name].frame == "world"]
         names = names | {name: [names[name][i] for i in (1, 0, 2)] for name in world}
     even, flying = evenly(standard)
     even["acceleration"] = even["acceleration"] - even.pop("acceleration_bias", 0.0)
     rate = (len(flying) - 1) / float(even["time"][-1] - even["time"][0])
-    unchecked = check_consistency(str(path), names, even, rate, flying, frames, config)
+    unchecked = check_consistency(path, names, even, rate, flying, frames, config)
     measured = "rpm" in even
     return FlightLog(
         name=Path(path).stem,
-        path=str(path),
+        path=path,
         time=even["time"],
         rpm=even["rpm"] if measured else typical_speeds(even["motor_command"], rate),
         speeds_measured=measured,

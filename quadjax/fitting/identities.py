@@ -13,7 +13,6 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from quadjax.fitting.changes import AXES, Change
 from quadjax.fitting.formats import FROM_FRD, TO_NED
 from quadjax.vehicle.airframe import GRAVITY
 
@@ -25,9 +24,23 @@ SECONDS = 60.0  # longest part of a flight that is compared
 SETTLING = 1.0  # s, time constant with which the direction of gravity is followed
 # Samples of filtered noise are not independent, nor are all errors noise.
 INDEPENDENT = 0.5
+AXES, MOTORS = (0, 1, 2), (0, 1, 2, 3)
 VECTORS = ("gyro", "acceleration", "body_velocity", "world_velocity", "position")
 
 Arrays = Mapping[str, np.ndarray]
+
+
+class Change(NamedTuple):
+    """What may be wrong with some columns of a quantity."""
+
+    columns: tuple[int, ...] = ()
+    text: str = ""  # after the names of the columns; {0} is the name of the quantity's first one
+    allowed: bool = False
+    matrix: np.ndarray = np.eye(3)  # that corrects the columns
+    delay: float = 0.0  # s, by which they are late
+    order: tuple[int, ...] = MOTORS  # column of each motor
+    spin: float = 1.0  # -1 for propellers that turn the other way
+    unlikely: float = 0.0  # log-likelihood that its evidence must exceed besides
 
 
 @dataclass(frozen=True)
@@ -162,14 +175,37 @@ def gravity_size(q: Arrays, rate: float) -> np.ndarray:
     return (gravity(q, rate) * q["down"]).sum(axis=-1, keepdims=True) - GRAVITY
 
 
-@dataclass(frozen=True)
 class Evidence:
     """A log's signals and the identities that they have to fulfill."""
 
-    signals: Signals
-    quantities: Arrays  # (m, 3) as logged, the attitude (m, 3, 3)
-    identities: tuple[Identity, ...]
-    frames: tuple[str, str]  # of the log: body and world
+    def __init__(
+        self, signals: Signals, names: Mapping[str, object], frames: tuple[str, str]
+    ) -> None:
+        """The identities of the quantities that a log has; ``frames`` are its body and world."""
+        self.signals, self.frames = signals, frames
+        quantities = {name: signals.at(name) for name in VECTORS if name in signals.values}
+        self.quantities: Arrays = quantities  # (m, 3) as logged, the attitude (m, 3, 3)
+        if "quaternion" not in signals.values:
+            measured = gravity(quantities, signals.rate)
+            down = measured - turning_gravity(quantities, signals.rate)
+            size = np.linalg.norm(down, axis=1, keepdims=True)
+            quantities["down"] = down / np.maximum(size, 1e-9)
+            used = ("acceleration", "body_velocity")
+            self.identities = [
+                Identity(turning_gravity, used, ("gyro",), bias=0.5, noise=0.05),
+                Identity(gravity_size, used, (), bias=0.5, noise=0.05, band=0.0),
+            ]
+            return
+        quantities["attitude"] = Rotation.from_quat(signals.at("quaternion")).as_matrix()
+        velocity = "world_velocity" if "world_velocity" in names else "body_velocity"
+        self.identities = [
+            Identity(turning, ("gyro",), ("attitude",), bias=0.1, noise=0.01),
+            Identity(forcing, ("acceleration", velocity), ("attitude",), bias=0.5, noise=0.05),
+        ]
+        if "position" in quantities:
+            attitude = ("attitude",) if velocity == "body_velocity" else ()
+            used = (velocity, "position")
+            self.identities.append(Identity(moving, used, attitude, bias=0.3, noise=0.02))
 
     def gains(self, quantity: str, changes: Sequence[Change]) -> np.ndarray:
         """Gains (h,) of log-likelihood by changes of one vector quantity or of the attitude."""
@@ -258,27 +294,3 @@ class Evidence:
             return rotation.as_matrix().reshape(*values.shape[:2], 3, 3)
         body, world = self.frames
         return TO_NED[world].as_matrix() @ matrices_of_angles(values) @ FROM_FRD[body].as_matrix()
-
-
-def evidence_of(signals: Signals, names: Mapping[str, object], frames: tuple[str, str]) -> Evidence:
-    """The identities that the quantities of a log have to fulfill."""
-    quantities = {name: signals.at(name) for name in VECTORS if name in signals.values}
-    if "quaternion" not in signals.values:
-        measured = gravity(quantities, signals.rate)
-        down = measured - turning_gravity(quantities, signals.rate)
-        quantities["down"] = down / np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9)
-        used = ("acceleration", "body_velocity")
-        direction = Identity(turning_gravity, used, ("gyro",), bias=0.5, noise=0.05)
-        size = Identity(gravity_size, used, (), bias=0.5, noise=0.05, band=0.0)
-        return Evidence(signals, quantities, (direction, size), frames)
-    quantities["attitude"] = Rotation.from_quat(signals.at("quaternion")).as_matrix()
-    world = "world_velocity" in names
-    velocity = "world_velocity" if world else "body_velocity"
-    laws = [
-        Identity(turning, ("gyro",), ("attitude",), bias=0.1, noise=0.01),
-        Identity(forcing, ("acceleration", velocity), ("attitude",), bias=0.5, noise=0.05),
-    ]
-    if "position" in quantities:
-        attitude: tuple[str, ...] = () if world else ("attitude",)
-        laws.append(Identity(moving, (velocity, "position"), attitude, bias=0.3, noise=0.02))
-    return Evidence(signals, quantities, tuple(laws), frames)

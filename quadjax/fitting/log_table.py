@@ -22,14 +22,16 @@ MAX_SETTINGS = 2000  # rows of settings before the header
 class LogTable:
     """Columns of a log in its own units and frames."""
 
+    path: str
     columns: Mapping[str, np.ndarray]  # (n,) by name
     settings: Mapping[str, str] = field(default_factory=dict)  # of the log's head
     first_row: int | None = None  # row of the first sample in the file; None for no rows
     cut_row: int | None = None  # the last row of the file, left out: no line break ends it
 
-    def where(self, index: int) -> str:
-        """A sample's place in the file, for messages."""
-        return f"sample {index}" if self.first_row is None else f"row {self.first_row + index}"
+    def error(self, index: int, columns: str, problem: str) -> InputError:
+        """A problem of some columns at a sample, with its place in the file."""
+        place = f"sample {index}" if self.first_row is None else f"row {self.first_row + index}"
+        return InputError(f"{self.path}: {place}, column {columns}{problem}")
 
 
 def read_head(path: Path | str, settings: bool = False) -> tuple[list[str], dict[str, str], int]:
@@ -115,7 +117,8 @@ def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> 
         except ValueError as error:
             raise InputError(f"{path}: row {row}{_fault(path, line, places, error)}") from None
     columns = table.reshape(-1, len(names)).T
-    return LogTable(dict(zip(names, columns, strict=True)), found, start + 1, cut_row)
+    by_name = dict(zip(names, columns, strict=True))
+    return LogTable(str(path), by_name, found, start + 1, cut_row)
 
 
 def _cells(path: Path | str, line: str) -> list[str]:

@@ -6,14 +6,12 @@ rotors' moments balance others that the model lacks.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from quadjax.fitting.changes import Change
 from quadjax.fitting.identities import BAND as MOTION
-from quadjax.fitting.identities import Signals, derivative
+from quadjax.fitting.identities import Change, Signals, derivative
 from quadjax.fitting.nominal import ModelInputs, nominal
 from quadjax.fitting.signals import first_order
 from quadjax.vehicle.constants import constant_names, from_values
@@ -38,18 +36,41 @@ def typical_speeds(command: np.ndarray, sample_rate: float) -> np.ndarray:
     return first_order(steady, steady[0], LAG, 1.0 / sample_rate)
 
 
-@dataclass(frozen=True)
 class MotorEvidence:
     """What relates the motors of a log to its rates and commands: band-passed samples."""
 
-    effects: np.ndarray  # (m, 12) squared speeds, speeds and their derivatives
-    turning: np.ndarray  # (i, 3) angular accelerations of the inner samples, less the others
-    others: np.ndarray  # (i, 9) orthonormal: what velocity and rates explain
-    speeds: np.ndarray  # (m, 4) less their mean, and so are those that the commands cause:
-    followed: np.ndarray | None  # (m, 4)
-    inner: np.ndarray  # (i,) indices
-    rate: float  # Hz
-    counts: tuple[float, float]  # of independent samples: of the moments, of the commands
+    def __init__(self, signals: Signals) -> None:
+        """The evidence of a log's signals; of commands, where ``followed`` is among them."""
+        rate = signals.rate
+        band = (BAND[0], min(BAND[1], 0.4 * rate))
+        sections = butter(2, band, "band", fs=rate, output="sos")
+
+        def band_passed(values: np.ndarray) -> np.ndarray:
+            return sosfiltfilt(sections, values, axis=0)
+
+        def differences(name: str) -> np.ndarray:
+            values = signals.at(name)
+            return signals.low_pass(values - values.mean(axis=1, keepdims=True))
+
+        rates, velocity, speeds = (signals.at(name) for name in ("gyro", "body_velocity", "rpm"))
+        coupling = rates[:, [1, 2, 0]] * rates[:, [2, 0, 1]]
+        others = band_passed(np.concatenate([velocity, rates, coupling], axis=1))
+        turning = derivative(band_passed(rates), rate)[signals.inner]
+        relative = speeds / speeds.mean()
+        passed = band_passed(relative)
+        effects = (band_passed(relative**2), passed, derivative(passed, rate))
+        # (m, 12) squared speeds, speeds and their derivatives
+        self.effects = np.concatenate(effects, axis=1)
+        # (i, 9) orthonormal: what velocity and rates explain, of the inner samples
+        self.others = np.linalg.qr(others[signals.inner])[0]
+        # (i, 3) angular accelerations, less the others
+        self.turning = turning - self.others @ (self.others.T @ turning)
+        # (m, 4) less their mean, and so are those that the commands cause
+        self.speeds = differences("rpm")
+        self.followed = differences("followed") if "followed" in signals.values else None
+        self.inner, self.rate = np.flatnonzero(signals.inner), rate
+        # Independent samples: of the moments, of the commands.
+        self.counts = (signals.count(band[1] - band[0]), signals.count(MOTION))
 
     def gains(self, cause: str, changes: Sequence[Change]) -> np.ndarray:
         """Gains (h,) of log-likelihood by changes of the "gyro", the "speeds" or the "commands"."""
@@ -130,37 +151,3 @@ def _explained(gram: np.ndarray, product: np.ndarray) -> np.ndarray:
     factors = (diagonal[:, ::-1] * product - gram[:, :1, 1] * product[:, ::-1]) / determinant
     both = (factors * product).sum(axis=1)
     return np.where((factors > 0.0).all(axis=1), np.maximum(both, best), best)
-
-
-def motor_evidence(signals: Signals) -> MotorEvidence:
-    """The evidence of a log's signals; of commands, where ``followed`` is among them."""
-    rate = signals.rate
-    band = (BAND[0], min(BAND[1], 0.4 * rate))
-    sections = butter(2, band, "band", fs=rate, output="sos")
-
-    def band_passed(values: np.ndarray) -> np.ndarray:
-        return sosfiltfilt(sections, values, axis=0)
-
-    rates, velocity, speeds = (signals.at(name) for name in ("gyro", "body_velocity", "rpm"))
-    coupling = rates[:, [1, 2, 0]] * rates[:, [2, 0, 1]]
-    others = band_passed(np.concatenate([velocity, rates, coupling], axis=1))
-    basis = np.linalg.qr(others[signals.inner])[0]
-    turning = derivative(band_passed(rates), rate)[signals.inner]
-    relative = speeds / speeds.mean()
-    passed = band_passed(relative)
-    effects = (band_passed(relative**2), passed, derivative(passed, rate))
-
-    def differences(name: str) -> np.ndarray:
-        values = signals.at(name)
-        return signals.low_pass(values - values.mean(axis=1, keepdims=True))
-
-    return MotorEvidence(
-        effects=np.concatenate(effects, axis=1),
-        turning=turning - basis @ (basis.T @ turning),
-        others=basis,
-        speeds=differences("rpm"),
-        followed=differences("followed") if "followed" in signals.values else None,
-        inner=np.flatnonzero(signals.inner),
-        rate=rate,
-        counts=(signals.count(band[1] - band[0]), signals.count(MOTION)),
-    )

@@ -18,7 +18,7 @@ derivative is regressed on ``s(u) - y``. The steady value s(u) is
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,14 @@ from quadjax.core.errors import InputError
 from quadjax.fitting.axes import fit_axes
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.fitting.nominal import AXES, EQUATIONS
-from quadjax.fitting.regression import Estimate, Problem, half_seconds, solve, unknown
+from quadjax.fitting.regression import (
+    Estimate,
+    Parameter,
+    Problem,
+    half_seconds,
+    solve,
+    unknown,
+)
 from quadjax.fitting.samples import CUTOFF, filtered_regressors, prepare, settled
 from quadjax.fitting.signals import derivative, first_order, low_pass
 from quadjax.vehicle.battery import BatteryConfig
@@ -35,7 +42,6 @@ from quadjax.vehicle.rate import RateConstants
 
 RPM = 30.0 / math.pi  # of 1 rad/s
 TAU = (0.002, 0.5, 0.05)  # s: lowest, highest and typical time constant
-LIMIT = ("tau", "sag", "drain")
 MAP = ("tau", "w_min", "w_max", "k")
 LEAST_GAIN = 0.02  # relative decrease of the error, below which there is no limit
 RESERVE = 0.1  # charge above and below that of the flights, for flights to come
@@ -44,58 +50,28 @@ LEAST_EXPLAINED = 0.2  # R^2 of a lag of the inner loop that is used
 EXPLAINED = 0.9  # R^2 of the motor map below which there is a warning
 LEAST_RATE = 60.0  # Hz, of the samples compared without measured speeds
 LEAST_CHANGE = {  # of commands, by their name in messages
-    **{"commanded propeller speeds": 20.0, "motor commands": 0.01},
-    **{"commanded body rates": 0.05, "commanded thrust": 0.2},
+    "commanded propeller speeds": 20.0,
+    "motor commands": 0.01,
+    "commanded body rates": 0.05,
+    "commanded thrust": 0.2,
 }
 
 
-@dataclass(frozen=True)
-class Followed:
-    """Signals that follow commands, in some rows of one flight.
+class Followed(NamedTuple):
+    """Signals that follow commands, in some rows of one flight."""
 
-    Attributes:
-        measured: (n, k).
-        command: (n, k).
-        rate: Hz.
-        starts: rows at which a contiguous part begins.
-        time: (n,) s since the first.
-        load: (n,) power over that of hover; of propeller speeds only.
-        used: (n,) s of hover since the start of the flight.
-    """
-
-    measured: np.ndarray
-    command: np.ndarray
-    rate: float
-    starts: np.ndarray
-    time: np.ndarray
-    load: np.ndarray
-    used: np.ndarray
-
-    @classmethod
-    def of(
-        cls,
-        log: FlightLog,
-        rows: np.ndarray,
-        measured: np.ndarray,
-        command: np.ndarray,
-        hover: float = np.inf,
-    ) -> "Followed":
-        """Some rows (n,) bool of signals and their commands; ``hover`` in rpm."""
-        index = np.flatnonzero(rows)
-        starts = np.flatnonzero(np.concatenate([[True], np.diff(index) > 1]))
-        load = ((log.rpm / hover) ** 3).mean(axis=1)
-        used = np.cumsum(load) / log.sample_rate
-        time = log.time[rows] - log.time[index[0]]
-        signals = measured[rows], command[rows], log.sample_rate
-        return cls(*signals, starts, time, load[rows], used[rows])
+    measured: np.ndarray  # (n, k)
+    command: np.ndarray  # (n, k)
+    rate: float  # Hz
+    starts: np.ndarray  # rows at which a contiguous part begins
+    time: np.ndarray  # (n,) s since the first
+    load: np.ndarray  # (n,) power over that of hover; of propeller speeds only
+    used: np.ndarray  # (n,) s of hover since the start of the flight
 
     def simulated(self, tau: float, steady: np.ndarray) -> np.ndarray:
         """Signals (n, k) with steady values (n, k), each held until the next sample."""
-        pieces = zip(
-            np.split(self.measured, self.starts[1:]),
-            np.split(steady, self.starts[1:]),
-            strict=True,
-        )
+        parts = (np.split(values, self.starts[1:]) for values in (self.measured, steady))
+        pieces = zip(*parts, strict=True)
         return np.concatenate([first_order(u, y[0], tau, 1.0 / self.rate) for y, u in pieces])
 
     def limited(self, first: float, sag: float, drain: float) -> np.ndarray:
@@ -103,24 +79,36 @@ class Followed:
         return np.minimum(self.command, (first - sag * self.load - drain * self.used)[:, None])
 
 
+def _followed(
+    log: FlightLog,
+    rows: np.ndarray,
+    measured: np.ndarray,
+    command: np.ndarray,
+    hover: float = np.inf,
+) -> Followed:
+    """Some rows (n,) bool of signals and their commands; ``hover`` in rpm."""
+    index = np.flatnonzero(rows)
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(index) > 1]))
+    load = ((log.rpm / hover) ** 3).mean(axis=1)
+    used, time = np.cumsum(load) / log.sample_rate, log.time[rows] - log.time[index[0]]
+    signals = measured[rows], command[rows], log.sample_rate
+    return Followed(*signals, starts, time, load[rows], used[rows])
+
+
 Steady = Callable[[np.ndarray, int, Followed], np.ndarray]  # of values, flight index and flight
 
 
-def _problem(flights: Sequence[Followed], steady: Steady, **options: Any) -> Problem:
+def _lag_problem(flights: Sequence[Followed], steady: Steady, **options: Any) -> Problem:
     """A lag, the first of the values, behind steady values (n, k)."""
 
     def model(values: np.ndarray) -> np.ndarray:
-        parts = (
-            part.simulated(values[0], steady(values, i, part)) for i, part in enumerate(flights)
+        return np.concatenate(
+            [part.simulated(values[0], steady(values, i, part)) for i, part in enumerate(flights)]
         )
-        return np.concatenate(list(parts))
 
-    return Problem(
-        measured=np.concatenate([part.measured for part in flights]),
-        blocks=half_seconds([part.time for part in flights]),
-        model=model,
-        **options,
-    )
+    measured = np.concatenate([part.measured for part in flights])
+    blocks = half_seconds([part.time for part in flights])
+    return Problem(measured=measured, blocks=blocks, model=model, **options)
 
 
 def _never_follow(commands: Sequence[np.ndarray], what: str) -> str:
@@ -132,22 +120,14 @@ def _never_follow(commands: Sequence[np.ndarray], what: str) -> str:
 
 
 def _fit_lag(
-    parts: Sequence[Followed], name: str, base: float, what: str, least_explained: float = -np.inf
+    parts: Sequence[Followed], group: str, tau: Parameter, what: str, least: float = -np.inf
 ) -> Estimate:
     """Fit one time constant, s, over the flights that have commands."""
     reason = _never_follow([part.command for part in parts], what)
     if reason:
-        return unknown(name, {name: base}, reason)
-    problem = _problem(
-        parts,
-        lambda values, index, part: part.command,
-        group=name,
-        names=(name,),
-        base=np.array([base]),
-        least_explained=least_explained,
-        search=np.array([TAU]).T,
-    )
-    return solve(problem)
+        return unknown(group, {tau.name: tau.base}, reason)
+    options = {"group": group, "parameters": [tau], "least_explained": least}
+    return solve(_lag_problem(parts, lambda values, index, part: part.command, **options))
 
 
 @dataclass(frozen=True)
@@ -182,7 +162,7 @@ class BatteryFit:
         """
         if log.rpm_command is None:
             raise InputError(f"{log.path}: no commanded speeds (logs.columns.rpm_command)")
-        part = Followed.of(log, np.ones(len(log.time), bool), log.rpm, log.rpm_command, hover)
+        part = _followed(log, np.ones(len(log.time), bool), log.rpm, log.rpm_command, hover)
         first = float(np.mean(list(self.first.values()))) if self.first else highest
         simulated = part.simulated(self.tau, part.limited(first, self.sag, self.drain))
         return float(np.sqrt(((simulated - part.measured) ** 2).mean()))
@@ -235,44 +215,52 @@ def fit_battery(
         flight has commanded speeds.
     """
     parts = {
-        log.name: Followed.of(log, used, log.rpm, log.rpm_command, hover)
+        log.name: _followed(log, used, log.rpm, log.rpm_command, hover)
         for log, used in zip(logs, rows or [np.ones(len(x.time), bool) for x in logs], strict=True)
         if log.rpm_command is not None and used.any()
     }
-    lag = _fit_lag(list(parts.values()), "tau", tau, "commanded propeller speeds")
-    lag = replace(lag, group="motors")
+    flights = list(parts.values())
+    first = Parameter("tau", tau, *TAU)
+    lag = _fit_lag(flights, "motors", first, "commanded propeller speeds")
     if not parts:
         return lag, None
-    limit = _fit_limit(parts, float(lag.values[0]), base)
+    first = first._replace(base=float(lag.values[0]))
+    limit = _fit_limit(parts, first, base)
     if not limit.rmse < (1.0 - LEAST_GAIN) * lag.rmse:
-        tau = float(lag.values[0])
-        return lag, BatteryFit(tau, 0.0, 0.0, rmse=lag.rmse, converged=lag.converged)
-    count, values = len(LIMIT), limit.constants
-    tau, sag, drain = (values[name] for name in LIMIT)
-    first = {name: values[name] for name in parts}
-    last = {name: float(first[name] - drain * part.used[-1]) for name, part in parts.items()}
-    errors = limit.standard_errors[:count]
-    of_drone = replace(limit, names=LIMIT, values=limit.values[:count], standard_errors=errors)
-    return of_drone, BatteryFit(tau, sag, drain, first, last, limit.rmse, limit.converged)
+        return lag, BatteryFit(first.base, 0.0, 0.0, rmse=lag.rmse, converged=lag.converged)
+    values, count = limit.constants, len(limit.names) - len(parts)
+    at_start = {name: values[name] for name in parts}
+    drain = values["drain"]
+    at_end = {name: float(at_start[name] - drain * part.used[-1]) for name, part in parts.items()}
+    fitted = values["tau"], values["sag"], drain, at_start, at_end, limit.rmse, limit.converged
+    of_drone = replace(
+        limit,
+        names=limit.names[:count],
+        values=limit.values[:count],
+        standard_errors=limit.standard_errors[:count],
+    )
+    return of_drone, BatteryFit(*fitted)
 
 
-def _fit_limit(parts: dict[str, Followed], tau: float, base: BatteryConfig) -> Estimate:
+def _fit_limit(parts: dict[str, Followed], tau: Parameter, base: BatteryConfig) -> Estimate:
     flights = list(parts.values())
-    first = [np.percentile(p.measured, 99.0) + 100.0 * np.median(p.load) for p in flights]
     sag = base.rpm_full * base.resistance * base.hover_current / base.voltage
     has_drain = max(part.used[-1] for part in flights) >= LEAST_USED
-    ranges = [TAU, (0.0, np.inf, 1000.0), (0.0, np.inf, 1.0)]
-    problem = _problem(
+    physical = {"low": 0.0, "positive": True, "small": True, "physical": True}
+    starts = [
+        Parameter(name, np.percentile(p.measured, 99.0) + 100.0 * np.median(p.load), 0.0, size=1e3)
+        for name, p in parts.items()
+    ]
+    problem = _lag_problem(
         flights,
         lambda values, index, part: part.limited(values[3 + index], values[1], values[2]),
         group="motors",
-        names=(*LIMIT, *parts),
-        base=np.array([tau, sag, drain_of(base), *first]),
-        positive=LIMIT[1:],
-        small=LIMIT[1:],
-        search=np.array([*ranges, *[(0.0, np.inf, 1000.0)] * len(parts)]).T,
-        physical=LIMIT[1:],
-        fixed=() if has_drain else ("drain",),
+        parameters=[
+            tau,
+            Parameter("sag", sag, size=1000.0, **physical),
+            Parameter("drain", drain_of(base), fixed=not has_drain, **physical),
+            *starts,
+        ],
     )
     return solve(problem)
 
@@ -293,25 +281,24 @@ def fit_rate_model(
     Returns:
         The estimates; empty if no flight has the commands.
     """
-    flights, used_rows, rates, thrusts = [], [], [], []
-    for log, used in zip(logs, rows, strict=True):
-        if log.rate_command is not None and log.thrust_command is not None and used.any():
-            flights.append(log)
-            used_rows.append(used)
-            rates.append(Followed.of(log, used, log.rates, log.rate_command))
-            thrust, command = -log.specific_force[:, 2:], log.thrust_command[:, None]
-            thrusts.append(Followed.of(log, used, thrust, command))
-    if not flights:
+    pairs = [
+        (log, used, log.rate_command, log.thrust_command[:, None])
+        for log, used in zip(logs, rows, strict=True)
+        if log.rate_command is not None and log.thrust_command is not None and used.any()
+    ]
+    if not pairs:
         return []
+    rates = [_followed(log, used, log.rates, turn) for log, used, turn, _ in pairs]
+    thrusts = [_followed(log, used, -log.specific_force[:, 2:], u) for log, used, _, u in pairs]
     lags = [
-        _fit_lag(parts, name, float(getattr(base, name)), what, LEAST_EXPLAINED)
-        for name, parts, what in (
-            ("tau_rate", rates, "commanded body rates"),
-            ("tau_thrust", thrusts, "commanded thrust"),
+        _fit_lag(parts, name, Parameter(name, float(getattr(base, name)), *TAU), what, least)
+        for name, parts, what, least in (
+            ("tau_rate", rates, "commanded body rates", LEAST_EXPLAINED),
+            ("tau_thrust", thrusts, "commanded thrust", LEAST_EXPLAINED),
         )
     ]
-    drags = fit_axes(prepare(flights, base, used_rows), base)
-    return [replace(estimate, group="rate") for estimate in (*lags, *drags)]
+    samples = prepare([log for log, *_ in pairs], base, [used for _, used, *_ in pairs])
+    return [replace(estimate, group="rate") for estimate in (*lags, *fit_axes(samples, base))]
 
 
 def steady_speeds(values: np.ndarray, command: np.ndarray) -> np.ndarray:
@@ -344,33 +331,37 @@ def fit_motors(
         rows: of each, (n,) bool.
         base: values without evidence in the logs.
     """
-    start = np.array([float(getattr(base, name)) for name in MAP])
+    values = {name: float(getattr(base, name)) for name in MAP}
     pairs = zip(logs, rows, strict=True)
     flights = [(log, used, u) for log, used in pairs if (u := log.motor_command) is not None]
     flights = [flight for flight in flights if flight[1].any()]
     reason = _never_follow([command[used] for _, used, command in flights], "motor commands")
     if reason:
-        return unknown("motors", dict(zip(MAP, start, strict=True)), reason)
+        return unknown("motors", values, reason)
     measured = [
-        Followed.of(log, used, log.rpm / RPM, command)
+        _followed(log, used, log.rpm / RPM, command)
         for log, used, command in flights
         if log.speeds_measured
     ]
     if measured:
-        high = max(*(float(part.measured.max()) for part in measured), start[2])
-        limits = (0.0, 0.9 * high, 1000.0), (0.1 * high, 10.0 * high, 1000.0)
+        high = max(*(float(part.measured.max()) for part in measured), values["w_max"])
+        limits = {"w_min": (0.0, 0.9 * high), "w_max": (0.1 * high, 10.0 * high)}
     else:
-        limits = (0.0, 0.5 * start[2], 1000.0), (0.0, np.inf, 1000.0)
-    options = {
-        **{"group": "motors", "names": MAP, "base": start, "physical": ("w_min", "k")},
+        limits = {"w_min": (0.0, 0.5 * values["w_max"]), "w_max": (0.0, np.inf)}
+    options: dict[str, Any] = {
+        "group": "motors",
         "uncertain": EQUATIONS[RacingConstants].uncertain,
-        "search": np.array([TAU, *limits, (0.0, 1.0, 1.0)]).T,
+        "parameters": [
+            Parameter("tau", values["tau"], *TAU),
+            Parameter("w_min", values["w_min"], *limits["w_min"], 1000.0, physical=True),
+            Parameter("w_max", values["w_max"], *limits["w_max"], 1000.0, fixed=not measured),
+            Parameter("k", values["k"], 0.0, 1.0, physical=True),
+        ],
     }
     if measured:
-        of_command = _problem(
-            measured, lambda values, i, p: steady_speeds(values, p.command), **options
+        estimate = solve(
+            _lag_problem(measured, lambda at, i, part: steady_speeds(at, part.command), **options)
         )
-        estimate = solve(of_command)
     else:
         estimate = solve(_unmeasured([flight[:2] for flight in flights], base, options))
     if estimate.r_squared >= EXPLAINED:
@@ -410,6 +401,5 @@ def _unmeasured(
         return modeled
 
     pairs = zip(flights, rows, strict=True)
-    times = [log.time[index] - log.time[0] for (log, _), index in pairs]
-    blocks = half_seconds(times)
-    return Problem(measured=measured, blocks=blocks, model=model, fixed=("w_max",), **options)
+    blocks = half_seconds([log.time[index] - log.time[0] for (log, _), index in pairs])
+    return Problem(measured=measured, blocks=blocks, model=model, **options)

@@ -79,18 +79,14 @@ def wanted_columns(
 
 
 def quantities_of(
-    path: Path | str,
-    table: LogTable,
-    names: Mapping[str, list[str]],
-    config: LogsConfig,
-    form: LogFormat,
+    table: LogTable, names: Mapping[str, list[str]], config: LogsConfig, form: LogFormat
 ) -> Quantities:
     """Quantities (n,) or (n, k) in SI, rpm, and motor commands from 0 to 1.
 
     Raises:
         InputError: a missing column, columns of different lengths, or a number that is not finite.
     """
-    result: Quantities = {}
+    path, result = table.path, {}
     for quantity, group in names.items():
         columns = []
         for name in group:
@@ -103,10 +99,8 @@ def quantities_of(
                     f"{path}: column {name!r} has shape {values.shape}, expected ({length},)"
                 )
             for row in np.flatnonzero(~np.isfinite(values))[:1]:
-                raise InputError(
-                    f"{path}: {table.where(row)}, column {name!r} is {values[row]}, expected a "
-                    "finite number"
-                )
+                problem = f" is {values[row]}, expected a finite number"
+                raise table.error(row, repr(name), problem)
         kind = QUANTITIES[quantity].unit
         unit = getattr(config.units, kind) or form.units.get(kind) if kind else None
         values = np.stack(columns, axis=1) * (UNITS[kind][unit] if unit else 1.0)

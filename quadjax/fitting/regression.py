@@ -68,14 +68,20 @@ class Estimate:
         return dict(zip(self.names, map(float, self.standard_errors), strict=True))
 
 
-class Minimum(NamedTuple):
-    """The solution for f free parameters, in units of ``size``."""
+class Parameter(NamedTuple):
+    """A parameter, and what is known about it before the fit."""
 
-    values: np.ndarray  # (f,)
-    size: np.ndarray  # (f,)
-    jacobian: np.ndarray  # (n m, f) of what is modeled
-    bread: np.ndarray  # (f, f) inverse of the normal equations
-    converged: bool = True
+    name: str
+    base: float  # value without evidence, with which a search starts
+    low: float = -np.inf  # limits of the search of a nonlinear problem
+    high: float = np.inf
+    size: float = 1.0  # typical value in a nonlinear problem
+    positive: bool = False  # cannot be below zero
+    # May absorb what the model lacks, so that even a value significantly below zero does not mean
+    # that a column of the log is wrong.
+    small: bool = False
+    physical: bool = False  # its limits are those of the model, not of the search
+    fixed: bool = False  # the signal does not determine it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,93 +90,79 @@ class Problem:
 
     A linear problem has columns and their noise; its signal is the sum of parameters times columns.
     Noise in a column adds to the diagonal of the normal equations and biases its parameter towards
-    zero; that part is subtracted (bias-compensated least squares). Any other problem has a model,
-    and limits of the search for its parameters, which starts from the base values.
+    zero; that part is subtracted (bias-compensated least squares). Any other problem has a model.
 
     Attributes:
         group: that the parameters belong to: an axis, or what they describe.
-        names: of the k parameters.
-        base: (k,) their values without evidence.
+        parameters: k of them.
         measured: (n,) or (n, m) signal.
         blocks: (n,) index of the half second of one flight; see ``half_seconds``.
         columns: (n, k) of a linear problem.
         noise: (n, k) change of the columns by added noise; see ``prepare``.
         model: parameters (k,) -> what they give, of the shape of the signal.
-        search: (3, k) lowest, highest and typical values of the parameters of a model.
-        physical: names of parameters whose limits are properties of the model, not of the search.
-        fixed: names of parameters that the signal does not determine.
-        positive: names of those that cannot be below zero.
-        small: names of those of them that may absorb what the model lacks, so that even a value
-            significantly below zero does not mean that a column of the log is wrong.
         uncertain: relative standard error above which a parameter has a warning.
         least_explained: R^2 below which all parameters keep their base values.
     """
 
     group: str
-    names: tuple[str, ...]
-    base: np.ndarray
+    parameters: Sequence[Parameter]
     measured: np.ndarray
     blocks: np.ndarray
     columns: np.ndarray | None = None
     noise: np.ndarray | None = None
     model: Callable[[np.ndarray], np.ndarray] | None = None
-    search: np.ndarray | None = None
-    physical: Sequence[str] = ()
-    fixed: Sequence[str] = ()
-    positive: Sequence[str] = ()
-    small: Sequence[str] = ()
     uncertain: float = 0.05
     least_explained: float = -np.inf
 
     def modeled(self, values: np.ndarray) -> np.ndarray:
         """What parameters (k,) give, of the shape of the signal."""
-        if self.columns is not None:
-            return self.columns @ values
-        assert self.model is not None
-        return self.model(values)
-
-    def mask(self, names: Sequence[str]) -> np.ndarray:
-        """Which parameters (k,) are among the names."""
-        return np.array([name in names for name in self.names])
+        if self.model is not None:
+            return self.model(values)
+        assert self.columns is not None
+        return self.columns @ values
 
 
 def solve(problem: Problem) -> Estimate:
     """The parameters of a problem, with base values where the logs have no evidence."""
-    free = _determined(problem)
-    kept = dict.fromkeys(np.flatnonzero(~free).tolist(), "the logs do not determine it")
+    base = np.array([parameter.base for parameter in problem.parameters])
+    free, names = _determined(problem), [parameter.name for parameter in problem.parameters]
+    reasons = dict.fromkeys(np.flatnonzero(~free).tolist(), "the logs do not determine it")
     while True:
-        values, errors, minimum = problem.base.copy(), np.full(len(free), np.inf), None
-        if free.any():
-            minimum = _linear(problem, free) if problem.model is None else _nonlinear(problem, free)
-            values[free] = minimum.values * minimum.size
-            error = (problem.measured - problem.modeled(values)).ravel()
-            errors[free] = _standard_errors(minimum, error, problem.blocks) * minimum.size
+        values, errors, jacobian, converged = _solution(problem, base, free)
         doubtful = _without_evidence(problem, values, errors)
         if not doubtful:
             break
-        kept |= doubtful
+        reasons |= doubtful
         free[list(doubtful)] = False
     square = (problem.measured - problem.modeled(values)) ** 2
     spread = float(((problem.measured - problem.measured.mean(axis=0)) ** 2).sum())
     explained = 1.0 - float(square.sum()) / spread if spread > 0.0 else 0.0
     if free.any() and explained < problem.least_explained:
         reason = f"it explains {max(explained, 0.0):.0%} of the signal in the logs"
-        kept |= dict.fromkeys(np.flatnonzero(free).tolist(), reason)
-        values, errors = problem.base.copy(), np.full(len(free), np.inf)
+        reasons |= dict.fromkeys(np.flatnonzero(free).tolist(), reason)
+        values, errors = base, np.full(len(base), np.inf)
+    condition = np.inf
+    if jacobian is not None and free.all():
+        size = np.sqrt((jacobian**2).mean(axis=0))
+        condition = float(np.linalg.cond(jacobian / np.maximum(size, 1e-300)))
+    warnings = _warnings(problem, reasons, values, errors, explained)
+    if not converged:
+        steps = f"the solver stopped after {MAX_STEPS} steps, before it converged"
+        warnings.append(f"{problem.group}: {steps}")
     return Estimate(
         group=problem.group,
-        names=problem.names,
+        names=tuple(names),
         values=values,
         standard_errors=errors,
-        condition=np.inf if minimum is None or not free.all() else _condition(minimum.jacobian),
+        condition=condition,
         r_squared=explained,
         rmse=float(np.sqrt(square.mean())),
-        warnings=tuple(_warnings(problem, kept, values, errors, explained, minimum)),
+        warnings=tuple(warnings),
         negated=tuple(
-            f"{problem.names[i]} = {values[i]:.3g} +- {errors[i]:.2g} ({problem.group})"
+            f"{names[i]} = {values[i]:.3g} +- {errors[i]:.2g} ({problem.group})"
             for i in np.flatnonzero(_negated(problem, values, errors))
         ),
-        converged=minimum is None or minimum.converged,
+        converged=converged,
     )
 
 
@@ -211,46 +203,71 @@ def r_squared(measured: np.ndarray, modeled: np.ndarray) -> np.ndarray:
 
 def _determined(problem: Problem) -> np.ndarray:
     """Parameters (k,) bool that are not fixed, with columns that no others combine to."""
-    found = ~problem.mask(problem.fixed)
+    free = np.array([not parameter.fixed for parameter in problem.parameters])
     if problem.columns is None:
-        return found
+        return free
     size = np.sqrt((problem.columns**2).mean(axis=0))
-    found &= size > 1e-12
-    for index in range(len(found)):
-        first = found & (np.arange(len(found)) <= index)
-        if found[index]:
-            scaled = problem.columns[:, first] / size[first]
-            found[index] = np.linalg.cond(scaled) < CONDITION
-    return found
+    free &= size > 1e-12
+    for index in np.flatnonzero(free):
+        first = free & (np.arange(len(free)) <= index)
+        free[index] = np.linalg.cond(problem.columns[:, first] / size[first]) < CONDITION
+    return free
 
 
-def _linear(problem: Problem, free: np.ndarray) -> Minimum:
-    """The solution of the normal equations; parameters that are not free have base values."""
+def _solution(
+    problem: Problem, base: np.ndarray, free: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, bool]:
+    """Values and standard errors (k,), Jacobian by the free parameters, and convergence."""
+    values, errors = base.copy(), np.full(len(base), np.inf)
+    if not free.any():
+        return values, errors, None, True
+    solver = _linear if problem.model is None else _nonlinear
+    scaled, unit, jacobian, bread, converged = solver(problem, base, free)
+    values[free] = scaled * unit
+    error = (problem.measured - problem.modeled(values)).ravel()
+    blocks = np.repeat(problem.blocks, len(error) // len(problem.blocks))
+    count = int(blocks.max()) + 1
+    scores = np.zeros((count, len(scaled)))
+    np.add.at(scores, blocks, jacobian * error[:, None])
+    scores -= scores.mean(axis=0)  # the correction for noise shifts their mean
+    freedom = count / max(1, count - len(scaled))
+    covariance = freedom * bread @ (scores.T @ scores) @ bread
+    errors[free] = np.sqrt(np.diag(covariance)) * unit
+    return values, errors, jacobian, converged
+
+
+# Values of the free parameters and their units (f,), the Jacobian (n m, f) of what is modeled, the
+# inverse (f, f) of the normal equations, both in these units, and whether the solver converged.
+_Minimum = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]
+
+
+def _linear(problem: Problem, base: np.ndarray, free: np.ndarray) -> _Minimum:
+    """The solution of the normal equations."""
     assert problem.columns is not None and problem.noise is not None
     size = np.sqrt((problem.columns[:, free] ** 2).mean(axis=0))
     columns, noise = problem.columns[:, free] / size, problem.noise[:, free] / size
-    remainder = problem.measured - problem.columns[:, ~free] @ problem.base[~free]
+    remainder = problem.measured - problem.columns[:, ~free] @ base[~free]
     gram, extra = columns.T @ columns, noise.T @ noise
     largest = float((np.diag(extra) / np.diag(gram)).max())
     extra *= min(1.0, LARGEST_CORRECTION / max(largest, 1e-12))
     bread = np.linalg.inv(gram - extra)
-    return Minimum(bread @ (columns.T @ remainder), 1.0 / size, columns, bread)
+    return bread @ (columns.T @ remainder), 1.0 / size, columns, bread, True
 
 
-def _nonlinear(problem: Problem, free: np.ndarray) -> Minimum:
+def _nonlinear(problem: Problem, base: np.ndarray, free: np.ndarray) -> _Minimum:
     """The solution of ``scipy.optimize.least_squares``."""
-    assert problem.search is not None
-    low, high, unit = problem.search[:, free]
+    table = np.array([(p.low, p.high, p.size) for p in problem.parameters]).T
+    low, high, unit = table[:, free]
     low, high = low / unit, high / unit
 
     def error(scaled: np.ndarray) -> np.ndarray:
-        values = problem.base.copy()
+        values = base.copy()
         values[free] = scaled * unit
         return (problem.modeled(values) - problem.measured).ravel()
 
     result = least_squares(
         error,
-        np.clip(problem.base[free] / unit, low + 1e-6, high - 1e-6),
+        np.clip(base[free] / unit, low + 1e-6, high - 1e-6),
         bounds=(low, high),
         diff_step=1e-4,
         xtol=1e-9,
@@ -258,74 +275,51 @@ def _nonlinear(problem: Problem, free: np.ndarray) -> Minimum:
         max_nfev=MAX_STEPS,
     )
     bread = np.linalg.pinv(result.jac.T @ result.jac)
-    return Minimum(result.x, unit, result.jac, bread, bool(result.success))
-
-
-def _standard_errors(minimum: Minimum, error: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-    """Cluster-robust standard errors (f,), in units of ``minimum.size``."""
-    blocks = np.repeat(blocks, len(error) // len(blocks))
-    count, free = int(blocks.max()) + 1, len(minimum.values)
-    scores = np.zeros((count, free))
-    np.add.at(scores, blocks, minimum.jacobian * error[:, None])
-    scores -= scores.mean(axis=0)  # the correction for noise shifts their mean
-    freedom = count / max(1, count - free)
-    covariance = freedom * minimum.bread @ (scores.T @ scores) @ minimum.bread
-    return np.sqrt(np.diag(covariance))
+    return result.x, unit, result.jac, bread, bool(result.success)
 
 
 def _without_evidence(problem: Problem, values: np.ndarray, errors: np.ndarray) -> dict[int, str]:
     """Why fitted parameters have no evidence, by their index."""
-    reasons = {}
-    positive = problem.mask(problem.positive) & ~_negated(problem, values, errors)
-    limits = np.zeros(len(values), bool)
-    if problem.search is not None:
-        near = (np.isclose(values, limit, rtol=AT_LIMIT, atol=0.0) for limit in problem.search[:2])
-        limits = np.logical_or(*near) & ~problem.mask(problem.physical)
+    reasons, negated = {}, _negated(problem, values, errors)
     for i in np.flatnonzero(np.isfinite(errors)).tolist():
-        size = f"{values[i]:.2g} +- {errors[i]:.1g}"
-        if limits[i]:
+        parameter, size = problem.parameters[i], f"{values[i]:.2g} +- {errors[i]:.1g}"
+        at_limit = np.isclose(values[i], (parameter.low, parameter.high), rtol=AT_LIMIT, atol=0.0)
+        if at_limit.any() and not parameter.physical:
             reasons[i] = f"{values[i]:.3g} is at the edge of the search range"
-        elif positive[i] and values[i] < 0.0:
+        elif not parameter.positive or negated[i]:
+            continue
+        elif values[i] < 0.0:
             reasons[i] = f"{size} is impossible below 0"
-        elif positive[i] and values[i] < SIGNIFICANT * errors[i]:
+        elif values[i] < SIGNIFICANT * errors[i]:
             reasons[i] = f"{size} is not significantly above 0"
     return reasons
 
 
 def _negated(problem: Problem, values: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """Parameters (k,) bool that cannot be below zero, not even in part, and clearly are."""
-    driving = problem.mask(problem.positive) & ~problem.mask(problem.small)
+    driving = np.array([p.positive and not p.small for p in problem.parameters])
     return driving & np.isfinite(errors) & (values < 0.0) & (values < -NEGATED * errors)
 
 
 def _warnings(
     problem: Problem,
-    kept: dict[int, str],
+    reasons: dict[int, str],
     values: np.ndarray,
     errors: np.ndarray,
     explained: float,
-    minimum: Minimum | None,
 ) -> list[str]:
-    group, names, base = problem.group, problem.names, problem.base
+    labels = [f"{parameter.name} ({problem.group})" for parameter in problem.parameters]
     lines = [
-        f"{names[i]} ({group}): {reason}; the base vehicle's {base[i]:.4g} is kept"
-        for i, reason in kept.items()
+        f"{labels[i]}: {reason}; the base vehicle's {problem.parameters[i].base:.4g} is kept"
+        for i, reason in reasons.items()
     ]
     if explained < LITTLE_EXPLAINED:
-        lines.append(f"{group}: R^2 is {explained:.2f}: the model explains little")
+        lines.append(f"{problem.group}: R^2 is {explained:.2f}: the model explains little")
     with np.errstate(invalid="ignore"):
         uncertain = np.isfinite(errors) & (errors > problem.uncertain * np.abs(values))
     lines += [
-        f"{names[i]} ({group}): little excited by the logs, or the model does not fit them: "
+        f"{labels[i]}: little excited by the logs, or the model does not fit them: "
         f"{values[i]:.4g} +- {100.0 * errors[i] / max(abs(values[i]), 1e-300):.0f}%"
         for i in np.flatnonzero(uncertain)
     ]
-    if minimum is not None and not minimum.converged:
-        steps = f"the solver stopped after {MAX_STEPS} steps, before it converged"
-        lines.append(f"{group}: {steps}")
     return lines
-
-
-def _condition(jacobian: np.ndarray) -> float:
-    size = np.sqrt((jacobian**2).mean(axis=0))
-    return float(np.linalg.cond(jacobian / np.maximum(size, 1e-300)))

@@ -1,4 +1,4 @@
-"""Report of a fit: tables and files."""
+"""Report of a fit: tables, files, and figures of signals against time and of errors."""
 
 import io
 import json
@@ -6,15 +6,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
 from quadjax.core.files import write_json, write_text
+from quadjax.core.plotting import INK, SERIES, head, new_figure, save_figure, tidy
 from quadjax.core.provenance import provenance
 from quadjax.core.yaml_files import to_yaml
 from quadjax.fitting.axes import Prediction, pooled
 from quadjax.fitting.fit import Fit
-from quadjax.fitting.nominal import AXES, EQUATIONS, units
+from quadjax.fitting.nominal import AXES, EQUATIONS
 from quadjax.fitting.regression import Estimate, r_squared
 from quadjax.fitting.samples import ALL, LeftOut
 from quadjax.vehicle.constants import values_of
@@ -24,9 +26,12 @@ from quadjax.vehicle.vehicle_file import write_vehicle
 RESIDUAL_AXES = AXES[2:]
 FILES = ("config.yaml", "vehicle.yaml", "report.json", "report.txt")
 RESIDUAL = "residual.npz"
-FIGURES = ("held_out_*.png", "training_*.png", "errors.png")  # see ``figures.write_figures``
+FIGURES = ("held_out_*.png", "training_*.png", "errors.png")
 PATTERNS = (*FILES, RESIDUAL, *FIGURES)  # of all files that a fit writes
 WIDTH = 120
+COLORS = {"nominal": SERIES[3], "residual": SERIES[0]}
+LABELS = {"nominal": "nominal", "residual": "nominal + residual"}
+POINTS = 1500  # of a line, at most
 
 
 def tables(result: Fit) -> str:
@@ -34,7 +39,7 @@ def tables(result: Fit) -> str:
     what = "held out, each by a fit without it"
     parts = [_constants(result), _errors(result, "training", result.training)]
     parts += [_errors(result, what, pooled(result.held_out)), _by_flight(result)]
-    if _has_choices(result):
+    if result.residuals and result.residuals[ALL].choices:
         parts.append(_choices(result))
     elif not result.residuals:
         parts.append(f"the model {result.model} has no residual network")
@@ -110,19 +115,9 @@ def _name(result: Fit, left_out: LeftOut) -> str:
     return result.split.names[min(left_out)] if left_out else "final"
 
 
-def _has_choices(result: Fit) -> bool:
-    return bool(result.residuals) and bool(result.residuals[ALL].choices)
-
-
-def _models(result: Fit, part: Prediction) -> dict[str, np.ndarray]:
-    """What the nominal model predicts, and with the residual, where there is one."""
-    residual = {"residual": part.full} if result.residuals else {}
-    return {"nominal": part.nominal, **residual}
-
-
 def _prediction_json(result: Fit, part: Prediction) -> dict[str, dict[str, float]]:
     columns: dict[str, np.ndarray] = {}
-    for name, modeled in _models(result, part).items():
+    for name, modeled in result.models(part).items():
         columns[f"rmse_{name}"] = part.rmse(modeled)
         columns[f"r_squared_{name}"] = r_squared(part.measured, modeled)
     if result.residuals:
@@ -170,15 +165,15 @@ def _rows(estimate: Estimate) -> list[tuple[str, ...]]:
 
 def _errors(result: Fit, title: str, part: Prediction) -> str:
     columns = {"": list(AXES)}
-    for name, modeled in _models(result, part).items():
+    for name, modeled in result.models(part).items():
         label = "RMSE" if name == "nominal" else "RMSE with residual"
         columns[label] = [f"{x:.4g}" for x in part.rmse(modeled)]
     if result.residuals:
         columns["change"] = [f"{100.0 * x:+.1f}%" for x in part.change]
-    for name, modeled in _models(result, part).items():
+    for name, modeled in result.models(part).items():
         label = "R^2" if name == "nominal" else "R^2 with residual"
         columns[label] = [f"{x:.3f}" for x in r_squared(part.measured, modeled)]
-    columns["unit"] = list(units(type(result.constants[ALL])).values())
+    columns["unit"] = list(result.units.values())
     rows = list(zip(*columns.values(), strict=True))
     return text_table(f"{title} ({len(part.rows)} samples)", list(columns), rows)
 
@@ -231,3 +226,76 @@ def _choices(result: Fit) -> str:
     return "\n".join(
         [*lines, *(f"rejected: {a}: {reason}; written as zero" for a, reason in rejected.items())]
     )
+
+
+def write_figures(result: Fit, folder: Path) -> list[Path]:
+    """Write every figure; return the paths."""
+    figures = {}
+    for part in result.held_out:
+        name = "".join(c if c.isalnum() or c in "-_" else "_" for c in part.name)
+        figures[f"held_out_{name}"] = traces_figure(result, part, f"held out: {part.name}")
+    for index, log in enumerate(result.logs):
+        rows = result.samples.flight[result.training.rows] == index
+        if rows.any():
+            title = f"training: {log.name}"
+            figures[f"training_{log.name}"] = traces_figure(result, result.training[rows], title)
+    figures["errors"] = errors_figure(result)
+    for name, figure in figures.items():
+        save_figure(figure, folder / f"{name}.png", dpi=80)
+    return [folder / f"{name}.png" for name in figures]
+
+
+def traces_figure(result: Fit, part: Prediction, title: str = "") -> Figure:
+    """Errors of the nominal model, and of it with the residual, against time; a panel per axis.
+
+    The signals themselves differ by less than a line's width. Each panel has the RMSE of both.
+
+    Args:
+        result: of the fit.
+        part: rows to draw, such as one of ``result.held_out``.
+        title: of the figure.
+    """
+    figure = new_figure(10, 11)
+    panels = figure.subplots(len(AXES), 1, sharex=True)
+    time = result.samples.time[part.rows]
+    every = max(1, len(time) // POINTS)
+    # Break lines at jumps of time: another flight of the group, or a pause on the ground.
+    jump = np.flatnonzero(np.abs(np.diff(time[::every])) > 0.5) + 1
+    for i, (axis, axes) in enumerate(zip(AXES, panels, strict=True)):
+        tidy(axes)
+        unit, sizes = result.units[axis].replace("^2", "²"), []
+        for name, model in result.models(part).items():
+            error = part.measured[:, i] - model[:, i]
+            line = (np.insert(x, jump, np.nan) for x in (time[::every], error[::every]))
+            axes.plot(*line, color=COLORS[name], label=LABELS[name], lw=0.9)
+            sizes.append(f"{np.sqrt(np.mean(error**2)):.3g}")
+        axes.axhline(0.0, color=INK, lw=0.8)
+        axes.set_ylabel(f"{axis} ({unit})", color=INK)
+        note = f"RMSE {' → '.join(sizes)} {unit}"
+        axes.set_title(note, loc="right", fontsize=8, color=INK, pad=2)
+    head(panels[0], f"error of the model, {title}" if title else "error of the model")
+    panels[-1].set_xlabel("time (s)", color=INK)
+    return figure
+
+
+def errors_figure(result: Fit) -> Figure:
+    """Histograms of both models' errors on training rows and on held-out rows."""
+    sets = {"training": result.training, "held out": pooled(result.held_out)}
+    figure = new_figure(16, 3.2 * len(sets))
+    panels = figure.subplots(len(sets), len(AXES), squeeze=False)
+    for row, (title, part) in zip(panels, sets.items(), strict=True):
+        for i, (axis, axes) in enumerate(zip(AXES, row, strict=True)):
+            tidy(axes)
+            models = result.models(part)
+            errors = {name: part.measured[:, i] - model[:, i] for name, model in models.items()}
+            limit = max(float(np.percentile(np.abs(errors["nominal"]), 99.5)), 1e-12)
+            style = {"bins": np.linspace(-limit, limit, 61), "histtype": "step", "density": True}
+            for name, error in errors.items():
+                axes.hist(error, label=LABELS[name], color=COLORS[name], **style)
+            axes.set_yticks([])
+            unit = result.units[axis].replace("^2", "²")
+            axes.set_xlabel(f"error of {axis} ({unit})", color=INK)
+        row[0].set_ylabel(title, color=INK)
+    handles = panels[0, 0].get_legend_handles_labels()
+    figure.legend(*handles, loc="outside upper right", ncols=2, fontsize=8, frameon=False)
+    return figure

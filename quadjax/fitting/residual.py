@@ -26,7 +26,7 @@ so that the network does not extrapolate a slope.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
+from itertools import combinations, product
 
 import jax
 import jax.numpy as jnp
@@ -171,21 +171,19 @@ class _Trained:
         self.network, self.inputs, self.errors, self.split = network, inputs, errors, split
         self.max_harm = config.max_harm
         self.mirrors = {"auto": (True, False), "on": (True,), "off": (False,)}[config.mirror]
-        self.index = {
-            key: i for i, key in enumerate((s, mirror) for mirror in self.mirrors for s in errors)
-        }
-        self.tasks = []
-        for left_out, mirror in self.index:
+        self.tasks: dict[tuple[LeftOut, bool], Task] = {}
+        for mirror, (left_out, error) in product(self.mirrors, errors.items()):
             used = split.learned(left_out)
-            rows = inputs[used], errors[left_out][used], split.fold[used]
-            self.tasks.append(make_task(*rows, mirror))
+            rows = inputs[used], error[used], split.fold[used]
+            self.tasks[left_out, mirror] = make_task(*rows, mirror)
         keys = jax.vmap(jax.random.split)(jax.random.split(jax.random.key(seed), config.seeds))
-        history = train(network, Training(config.epochs), self.tasks, keys)
-        self.history = jax.tree.map(np.asarray, history)
-
-    def layers(self, left_out: LeftOut, mirror: bool) -> Layers:
-        """Layers of one task, every leaf (seed, epoch, ..)."""
-        return jax.tree.map(lambda leaf: leaf[self.index[left_out, mirror]], self.history)
+        history = train(network, Training(config.epochs), list(self.tasks.values()), keys)
+        history = jax.tree.map(np.asarray, history)
+        # Every leaf (seed, epoch, ..).
+        self.layers: dict[tuple[LeftOut, bool], Layers] = {
+            key: jax.tree.map(lambda leaf, i=i: leaf[i], history)
+            for i, key in enumerate(self.tasks)
+        }
 
     def scores(self, left_out: LeftOut, mirror: bool, held_out: int) -> np.ndarray:
         """Second moments of a training on a held-out fold, relative to the nominal square error.
@@ -194,14 +192,14 @@ class _Trained:
             (epoch, member, o, 2): mean error times output, and mean square output. The first member
             is the mean of all seeds, the others are the seeds.
         """
-        task, rows = self.tasks[self.index[left_out, mirror]], self.split.fold == held_out
+        task, rows = self.tasks[left_out, mirror], self.split.fold == held_out
         inputs = (self.inputs[rows] - task.center) / task.scale
         errors = self.errors[left_out][rows] / task.error_scale
         longest = int(np.bincount(self.split.fold[self.split.fold >= 0]).max())
         padding = ((0, padded(longest) - len(inputs)), (0, 0))
         size = np.sqrt((errors**2).mean(axis=0))
         moments = _moments(
-            self.layers(left_out, mirror),
+            self.layers[left_out, mirror],
             jnp.asarray(np.pad(inputs, padding), jnp.float32),
             jnp.asarray(np.pad(errors / np.maximum(size, 1e-12), padding), jnp.float32),
             jnp.asarray(np.arange(padded(longest)) < len(inputs), jnp.float32)[:, None]
@@ -222,12 +220,10 @@ class _Trained:
             }
             choices = select(self.network.axes, scores, self.max_harm)
         layers = [
-            jax.tree.map(lambda leaf, e=c.epoch: leaf[:, e], self.layers(left_out, c.mirror))
+            jax.tree.map(lambda leaf, e=c.epoch: leaf[:, e], self.layers[left_out, c.mirror])
             for c in choices
         ]
-        return Ensemble(
-            choices, [self.tasks[self.index[left_out, c.mirror]] for c in choices], layers
-        )
+        return Ensemble(choices, [self.tasks[left_out, c.mirror] for c in choices], layers)
 
 
 @jax.jit

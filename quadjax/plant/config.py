@@ -7,6 +7,7 @@ MPU-6050 of a Bebop and an OptiTrack motion capture system.
 """
 
 from collections.abc import Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -245,38 +246,26 @@ class PlantConfig(Section):
 
     @model_validator(mode="after")
     def _rates_agree(self) -> Self:
-        rate, mocap = self.sample_rate, self.sensors.mocap
-        most = MAX_LATENCY / rate
-        half = f"below half the sample_rate, {0.5 * rate:g} Hz"
-        for key, value, fine, allowed in (
+        rate, sensors = self.sample_rate, self.sensors
+        half, most = f"below half the sample_rate, {0.5 * rate:g} Hz", MAX_LATENCY / rate
+        whole = f"sample_rate, {rate:g} Hz, divided by a whole number"
+        fast = f"sample_rate x substeps of at least {LEAST_PHYSICS_RATE:g} Hz"
+        late = f"0 to {most:g} s ({MAX_LATENCY} samples)"
+        for key, is_possible, allowed in (
+            ("control_rate", rate % self.control_rate == 0, whole),
+            ("substeps", rate * self.substeps >= LEAST_PHYSICS_RATE, fast),
+            ("indi.cutoff", self.indi.cutoff < 0.5 * rate, half),
+            ("sensors.gyro.low_pass", sensors.gyro.low_pass < 0.5 * rate, f"0 (none) or {half}"),
             (
-                "control_rate",
-                self.control_rate,
-                rate % self.control_rate == 0,
-                f"sample_rate, {rate:g} Hz, divided by a whole number",
+                "sensors.accelerometer.low_pass",
+                sensors.accelerometer.low_pass < 0.5 * rate,
+                f"0 (none) or {half}",
             ),
-            (
-                "substeps",
-                self.substeps,
-                rate * self.substeps >= LEAST_PHYSICS_RATE,
-                f"sample_rate x substeps of at least {LEAST_PHYSICS_RATE:g} Hz",
-            ),
-            ("indi.cutoff", self.indi.cutoff, self.indi.cutoff < 0.5 * rate, half),
-            *(
-                (f"sensors.{name}.low_pass", cutoff, cutoff < 0.5 * rate, f"0 (none) or {half}")
-                for name in ("gyro", "accelerometer")
-                for cutoff in (getattr(self.sensors, name).low_pass,)
-            ),
-            ("sensors.mocap.rate", mocap.rate, mocap.rate <= rate, f"at most {rate:g} Hz"),
-            (
-                "sensors.mocap.latency",
-                mocap.latency,
-                mocap.latency <= most,
-                f"0 to {most:g} s ({MAX_LATENCY} samples)",
-            ),
+            ("sensors.mocap.rate", sensors.mocap.rate <= rate, f"at most {rate:g} Hz"),
+            ("sensors.mocap.latency", sensors.mocap.latency <= most, late),
         ):
-            if not fine:
-                raise ValueError(f"{key} is {value}, allowed: {allowed}")
+            if not is_possible:
+                raise ValueError(f"{key} is {attrgetter(key)(self)}, allowed: {allowed}")
         return self
 
 

@@ -117,13 +117,18 @@ def ekf_params(sensors: SensorsConfig, sample_rate: float, gravity: float = 9.81
         sample_rate: Hz.
         gravity: m/s^2.
     """
-    timing, lag = _timing(sensors, sample_rate)
+    delays = [
+        low_pass_delay(unit.low_pass, sample_rate) for unit in (sensors.gyro, sensors.accelerometer)
+    ]
+    late = max(delays)
+    latency = round(sensors.mocap.latency * sample_rate) / sample_rate
+    lag = max(0, round((latency - late) * sample_rate))
     position = math.hypot(sensors.mocap.position_noise, POSITION_NOISE)
     attitude = math.hypot(sensors.mocap.attitude_noise, ATTITUDE_NOISE)
     start = (
         # The first pose has no delay and the first inertial sample has ``late`` seconds; the
         # distance in between is as uncertain as the velocity.
-        math.hypot(position, START_POSITION, timing["late"] * START_VELOCITY),
+        math.hypot(position, START_POSITION, late * START_VELOCITY),
         START_VELOCITY,
         math.hypot(attitude, START_ATTITUDE),
         math.hypot(sensors.gyro.bias, START_GYRO_BIAS),
@@ -135,8 +140,14 @@ def ekf_params(sensors: SensorsConfig, sample_rate: float, gravity: float = 9.81
         "noise": _noise(sensors, sample_rate),
         "pose_variance": np.repeat([position**2, attitude**2], 3),
         "start": np.repeat(np.square(start), 3),
+        "late": late,
+        "offset": lag / sample_rate + late - latency,
+        "gyro_shift": (late - delays[0]) * sample_rate,
+        "force_shift": (late - delays[1]) * sample_rate,
+        "gyro_lead": delays[0] * sample_rate,
+        "force_lead": delays[1] * sample_rate,
     }
-    arrays = {name: jnp.asarray(x, jnp.float32) for name, x in (numbers | timing).items()}
+    arrays = {name: jnp.asarray(x, jnp.float32) for name, x in numbers.items()}
     return EkfParams(**arrays, lag=lag)
 
 
@@ -159,24 +170,6 @@ def _noise(sensors: SensorsConfig, sample_rate: float) -> np.ndarray:
     enters = np.eye(5)
     enters[0, 1] = 0.5 * step
     return np.kron(enters @ np.diag(densities) @ enters.T * step, np.eye(3))
-
-
-def _timing(sensors: SensorsConfig, sample_rate: float) -> tuple[dict[str, float], int]:
-    """Delays and alignment of the sensors, and the lag of the filter in samples."""
-    units = (sensors.gyro, sensors.accelerometer)
-    delays = [low_pass_delay(unit.low_pass, sample_rate) for unit in units]
-    late = max(delays)
-    latency = round(sensors.mocap.latency * sample_rate) / sample_rate
-    lag = max(0, round((latency - late) * sample_rate))
-    timing = {
-        "late": late,
-        "offset": lag / sample_rate + late - latency,
-        "gyro_shift": (late - delays[0]) * sample_rate,
-        "force_shift": (late - delays[1]) * sample_rate,
-        "gyro_lead": delays[0] * sample_rate,
-        "force_lead": delays[1] * sample_rate,
-    }
-    return timing, lag
 
 
 def init(params: EkfParams, measured: Measured) -> EkfState:

@@ -189,9 +189,10 @@ def fly_plan(
     return Flights(laps.laps_of(plan.choices, drones.race, step, limit), joined, plan.step)
 
 
-def rows(
-    flights: Flights, vector: Vec3 | Quaternion | Rotors | RateCommand, run: int
-) -> np.ndarray:
+Vector = Vec3 | Quaternion | Rotors | RateCommand | tuple[jax.Array, ...]
+
+
+def rows(flights: Flights, vector: Vector, run: int) -> np.ndarray:
     """Components (n, k) of a vector of the frames in one recorded run, until its end."""
     going = ~flights.frames.over[:, run]
     columns = [np.asarray(x)[going, run] for x in jax.tree.leaves(vector)]
@@ -208,23 +209,15 @@ def recorded_flights(
         gates: of the track, in order of passage.
         model: of the policy, whose commands and actuators they have.
     """
-    frames, result = flights.frames, []
+    frames, result, true = flights.frames, [], flights.frames.true
+    motion = true.position, true.velocity, true.euler, true.rates, true.actuators
     for run in range(frames.over.shape[-1]):
-        true, target = frames.true, np.asarray(frames.target)[~frames.over[:, run], run]
-        values = {
-            "position": rows(flights, true.position, run),
-            "velocity": rows(flights, true.velocity, run),
-            "attitude": rows(flights, true.euler, run),
-            "rates": rows(flights, true.rates, run),
-            "actuators": rows(flights, true.actuators, run),
-            "command": rows(flights, frames.command, run),
-            "target": target[:, None].astype(np.float64),
-        }
-        times, crash = flights.laps.lap_times[run], flights.laps.crashes[run]
+        vectors = (*motion, frames.command, (frames.target,))
+        columns = (rows(flights, vector, run) for vector in vectors)
+        values = dict(zip((*recorded.SIMULATED, "target"), columns, strict=True))
+        ended = flights.laps.lap_times[run], flights.laps.crashes[run]
         name = f"{run + 1}"
-        result.append(
-            recorded.simulated_flight(name, flights.step, values, gates, model, times, crash)
-        )
+        result.append(recorded.simulated_flight(name, flights.step, values, gates, model, *ended))
     return result
 
 

@@ -7,15 +7,16 @@ import pytest
 from PIL import Image
 
 from quadjax.config.loading import load_config
-from quadjax.core.files import write_npz
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.evaluation.charts import box_figure, gap_figure, response
 from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.report import report_figures
 from quadjax.evaluation.table import flights_table
 from quadjax.fitting.signals import first_order
-from quadjax.flights.files import STATES
+from quadjax.flights import Flight, save
+from quadjax.flights.flight import motion_signals, vehicle_signals
 from quadjax.sources import load_groups
+from quadjax.vehicle.registry import MODELS
 from tests.commands import run
 
 RACE = load_config("e2e")
@@ -32,28 +33,22 @@ def circle(seconds: float, laps: float, height: float = 1.5):
 
 def states_file(path, seconds, laps=2, crash_after=None, actuators=4, vehicle="motor"):
     """A file of ``evaluate --states``, a flight for each of ``seconds`` a lap."""
-    runs, lap_times, crashes = [], [], []
+    flights = []
     for index, each in enumerate(seconds):
         position, time = circle(each, laps)
-        ends = np.arange(1, laps + 1) * each
+        ends, crash = np.arange(1, laps + 1) * each, None
         if crash_after is not None and index == 0:
-            position, ends = position[: round(crash_after / STEP)], ends[ends < crash_after]
-            crashes.append({"run": 0, "lap": len(ends) + 1, "seconds": 1, "reason": "hit a gate"})
-        runs.append(position)
-        times = np.diff(ends, prepend=0.0)
-        lap_times.append([*times, *[np.nan] * (laps - len(times))])
-    most = max(map(len, runs))
-    arrays = {"time": STEP * np.arange(most), "lap_times": np.array(lap_times)}
-    widths = {"position": 3, "velocity": 3, "euler": 3, "rates": 3, "command": 4}
-    for name, width in (widths | {"actuators": actuators}).items():
-        arrays[name] = np.full((len(runs), most, width), np.nan)
-        for whole, position in zip(arrays[name], runs, strict=True):
-            whole[: len(position)] = 1.0
-            if name == "position":
-                whole[: len(position)] = position
-            elif name in ("actuators", "command") and actuators == 4:
-                whole[: len(position)] = 8000.0
-    write_npz(path, arrays, {"format": STATES, "vehicle": vehicle, "crashes": crashes})
+            end, crash = round(crash_after / STEP), "hit a gate"
+            position, time, ends = position[:end], time[:end], ends[ends < crash_after]
+        ones = np.ones((len(time), 4))
+        motion = dict.fromkeys(("velocity", "attitude", "rates"), ones[:, :3])
+        motors = 8000.0 * ones if actuators == 4 else ones
+        signals = motion_signals({"position": position, **motion})
+        signals |= vehicle_signals(MODELS[vehicle], motors, motors[:, :actuators])
+        flight = Flight(f"{index}", time, signals, source={"vehicle": vehicle})
+        flight = flight.with_passages(RACE.track.gates)
+        flights.append(flight.replace(lap_ends=ends, crash=crash))
+    save(flights, path)
     return path
 
 

@@ -44,6 +44,20 @@ def random_residual(seed: int, thrust: float = 1.0, moments=0.015, width: int = 
     return Residual(*networks, *map(jnp.float32, (3000.0, 11000.0, 1.0)))
 
 
+def as_reference(residual: Residual) -> dict:
+    """A residual as ``tests.reference`` takes it."""
+    return {key: jax.tree.map(np.float64, value) for key, value in vars(residual).items()}
+
+
+def runge_kutta(slope, x: np.ndarray, dt: float) -> np.ndarray:
+    """States (k, 22) one step later."""
+    k1 = slope(x)
+    k2 = slope(x + 0.5 * dt * k1)
+    k3 = slope(x + 0.5 * dt * k2)
+    k4 = slope(x + dt * k3)
+    return x + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+
 def wandering(random: np.random.Generator) -> np.ndarray:
     """Targets (n, 4) for roll, pitch, yaw, rad, and climb, m/s: a few sines each."""
     time = np.arange(int(SECONDS * RATE))[:, None] / RATE
@@ -78,25 +92,21 @@ def _commands(c, residual, x, target):
 def _flown(first, residual, still, factors):
     """States (n, k, 22), commands (n, k, 4), forces (n, k, 3) of flights of consecutive seeds."""
     c = ref.MOTOR | {name: factor * ref.MOTOR[name] for name, factor in factors}
-    networks = random_residual(*residual)
-    own = {key: jax.tree.map(np.float64, value) for key, value in vars(networks).items()}
+    own = as_reference(random_residual(*residual))
     seeds = range(first, first + TOGETHER)
     targets = np.stack([wandering(np.random.default_rng(seed)) for seed in seeds], axis=1)
     x, dt, record = np.zeros((TOGETHER, 22)), 1.0 / RATE, []
     x[:, ref.RPM] = np.sqrt(c["g"] / (4.0 * c["k_w"]))
 
-    def slope(x, u):
-        return ref.motor_derivative(c, x, u, own)
-
     for target in targets * (1e-4 if still else 1.0):
         u = _commands(c, own, x, target)
-        k1 = slope(x, u)
-        k2 = slope(x + 0.5 * dt * k1, u)
-        k3 = slope(x + 0.5 * dt * k2, u)
-        k4 = slope(x + dt * k3, u)
+
+        def slope(x, u=u):
+            return ref.motor_derivative(c, x, u, own)
+
         to_body = np.swapaxes(ref.rotation(x[:, ref.EULER]), 1, 2)
-        record.append((x, u, ref.rotate(to_body, k1[:, ref.V] - [0.0, 0.0, c["g"]])))
-        x = x + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        record.append((x, u, ref.rotate(to_body, slope(x)[:, ref.V] - [0.0, 0.0, c["g"]])))
+        x = runge_kutta(slope, x, dt)
     return [np.stack(values) for values in zip(*record, strict=True)]
 
 

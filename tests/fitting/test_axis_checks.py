@@ -147,50 +147,34 @@ def test_every_fault_of_a_real_flight_is_refused(path):
         assert repr(name.split()[0].strip("-")) in unchecked
 
 
-def minus(*names):
-    return lambda columns: {name: -columns[name] for name in names}
-
-
 @pytest.mark.parametrize(
     ("message", "wrong"),
     [
-        ("column 'rate_q' negated", minus("rate_q")),
-        ("column 'vel_x' negated", minus("vel_x")),
         (
             "columns 'rate_p', 'rate_q' swapped",
-            lambda columns: {"rate_p": columns["rate_q"], "rate_q": columns["rate_p"]},
+            lambda c: {"rate_p": c["rate_q"], "rate_q": c["rate_p"]},
         ),
         (
             "columns 'rpm_obs_1', 'rpm_obs_3' swapped?",
-            lambda columns: {f"rpm_obs_{i}": columns[f"rpm_obs_{4 - i}"] for i in (1, 3)},
+            lambda c: {f"rpm_obs_{i}": c[f"rpm_obs_{4 - i}"] for i in (1, 3)},
         ),
-        (
-            "column 'vel_z' 97 times too large .*logs.units",
-            lambda columns: {"vel_z": 100.0 * columns["vel_z"]},
-        ),
-        (
-            "column 'rate_p' 1.46 times too large .*logs.max_scale_error",
-            lambda columns: {"rate_p": 1.5 * columns["rate_p"]},
-        ),
-        (
-            "column 'rate_q' 0.206 s late",
-            lambda columns: {"rate_q": delayed(columns["rate_q"], 50)},
-        ),
+        ("column 'vel_z' 97 times too large .*logs.units", lambda c: {"vel_z": 100.0 * c["vel_z"]}),
+        ("column 'rate_q' 0.206 s late", lambda c: {"rate_q": delayed(c["rate_q"], 50)}),
         (
             "columns 'ekf_U1', 'ekf_U2' rotated by 45 deg",
-            lambda columns: turned(columns, "ekf_U1", "ekf_U2", np.radians(45.0)),
+            lambda c: turned(c, "ekf_U1", "ekf_U2", np.radians(45.0)),
         ),
         (
             "columns 'rpm_obs_1', .* 0.2 s late",
-            lambda columns: {name: delayed(columns[name], 50) for name in PAPARAZZI["rpm"]},
+            lambda c: {name: delayed(c[name], 50) for name in PAPARAZZI["rpm"]},
         ),
         (
             "columns 'rpm_ref_1', .* are 1.5.? times the speeds 'rpm_obs_1', .*logs.units.rpm",
-            lambda columns: {name: 1.5 * columns[name] for name in PAPARAZZI["rpm_command"]},
+            lambda c: {name: 1.5 * c[name] for name in PAPARAZZI["rpm_command"]},
         ),
         (
             "column 'rpm_obs_3' is 1.53 times the other motors' speeds",
-            lambda columns: {"rpm_obs_3": 1.5 * columns["rpm_obs_3"]},
+            lambda c: {"rpm_obs_3": 1.5 * c["rpm_obs_3"]},
         ),
     ],
 )
@@ -209,12 +193,6 @@ def test_what_has_no_evidence_is_reported():
 def test_noise_is_not_a_contradiction():
     noisy = first_seconds(simulated(3, noise=5.0), 4.0)
     log_of_columns(noisy, LogsConfig(format="paparazzi"), "flight")
-
-
-def test_motors_need_not_follow_all_of_a_change(flown):
-    """Commands that change twice as much as the speeds, such as those beyond a motor's limits."""
-    hasty = {name: 2.0 * flown[name] - np.median(flown[name]) for name in PAPARAZZI["rpm_command"]}
-    log_of_columns(flown | hasty, LogsConfig(format="paparazzi"), "flight")
 
 
 @pytest.mark.slow

@@ -1,12 +1,9 @@
 """The battery's limit of the propeller speeds, from commands and measured speeds."""
 
-import dataclasses
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors
 from quadjax.fitting import regression
 from quadjax.fitting.flight_log import FlightLog
@@ -80,12 +77,6 @@ def test_a_solver_that_stops_before_it_converges_is_reported(monkeypatch):
     assert "stopped before it converged" in changes(model, model)
 
 
-def test_a_log_without_commanded_speeds_is_named():
-    log = dataclasses.replace(flight(0.9, 1), rpm_command=None)
-    with pytest.raises(InputError, match="no commanded speeds .logs.columns.rpm_command"):
-        BatteryFit(TAU, 0.0, 0.0).error(log, HOVER, HIGHEST)
-
-
 def test_the_battery_of_the_race_has_the_limits_of_the_flights():
     found = fit_battery([flight(0.9, 1), flight(0.7, 2)], HOVER, BATTERY)
     section = found.section(BATTERY)
@@ -111,8 +102,3 @@ def test_without_a_limit_there_is_no_battery():
     found = fit_battery([flight(1.0, 1, None), flight(1.0, 2, None)], HOVER, BATTERY)
     assert found.first == {} and found.section(BATTERY) is None
     assert found.tau == pytest.approx(TAU, rel=0.02)
-
-
-def test_logs_without_commands_give_none():
-    log = dataclasses.replace(flight(1.0, 1), rpm_command=None)
-    assert fit_battery([log], HOVER, BATTERY) is None

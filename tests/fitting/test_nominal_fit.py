@@ -7,7 +7,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.plants import write_logs
-from quadjax.fitting.axes import fit_axes, with_estimates
+from quadjax.fitting.axes import fit_axes
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_logs, write_log
 from quadjax.fitting.motors import fit_battery
@@ -17,9 +17,8 @@ from quadjax.fitting.nominal import (
     ModelInputs,
     angular_moment,
     nominal,
-    regressors,
 )
-from quadjax.fitting.regression import Problem, check_signs, solve
+from quadjax.fitting.regression import Parameter, Problem, check_signs, solve
 from quadjax.fitting.samples import airborne, prepare
 from quadjax.fitting.signals import derivative, low_pass, noise_level
 from quadjax.plant.config import load_plant_config
@@ -52,14 +51,14 @@ def test_a_constant_of_an_impossible_sign_keeps_its_value_and_the_others_account
     measured = columns @ truth + 0.1 * draw.normal(size=2000)
     problem = Problem(
         group="az",
-        names=names,
-        base=np.array([0.4 if name == "k_z" else 1.0 for name in names]),
+        parameters=[
+            Parameter(name, 0.4 if name == "k_z" else 1.0, positive=True, small=name == "k_z")
+            for name in names
+        ],
         measured=measured,
         blocks=np.arange(2000) // 50,
         columns=columns,
         noise=np.zeros_like(columns),
-        positive=names,
-        small=("k_z",),
     )
     fit = solve(problem)
     others = np.array([name != "k_z" for name in names])
@@ -68,23 +67,6 @@ def test_a_constant_of_an_impossible_sign_keeps_its_value_and_the_others_account
     np.testing.assert_allclose(fit.values[~others], 0.4)
     np.testing.assert_allclose(fit.values[others], expected, rtol=1e-9)
     assert any("k_z" in line and "impossible" in line for line in fit.warnings)
-
-
-def test_the_model_is_the_sum_of_its_regressors(bebop):
-    random = np.random.default_rng(0)
-    rpm, rpm_rate = random.uniform(3000, 11000, (50, 4)), random.normal(0, 2e4, (50, 4))
-    motion = ModelInputs(rpm, rpm_rate, *random.normal(0, 4, (2, 50, 3)))
-    columns = regressors(motion)
-    for index, axis in enumerate(AXES):
-        found = columns[axis] @ [getattr(bebop, name) for name in CONSTANTS[axis]]
-        np.testing.assert_allclose(found, nominal(bebop, motion)[:, index], rtol=1e-9, atol=1e-12)
-
-
-def test_angular_moment_is_eulers_equation(bebop):
-    inertia = np.diag([bebop.i_xx, bebop.i_yy, bebop.i_zz])
-    rate, acceleration = np.array([1.0, -2.0, 3.0]), np.array([10.0, 20.0, -5.0])
-    expected = inertia @ acceleration + np.cross(rate, inertia @ rate)
-    np.testing.assert_allclose(angular_moment(bebop, rate[None], acceleration[None])[0], expected)
 
 
 def test_filter_has_no_phase_and_derivative_is_exact_enough():
@@ -178,17 +160,6 @@ def test_hover_excites_little_and_says_so(bebop, tmp_path):
     assert "k_w (" not in said
     lag = lag_of(logs, 0.06)
     assert lag.constants["tau"] == 0.06 and "never change" in lag.warnings[0]
-
-
-def test_a_column_of_zeros_keeps_the_base_value(bebop, flights):
-    still = [
-        log.__class__(**log.__dict__ | {"body_velocity": 0 * log.body_velocity})
-        for log in flights[:1]
-    ]
-    fits = fit_axes(samples_of(still, bebop), bebop)
-    kept = with_estimates(bebop, fits)
-    assert kept.k_x == bebop.k_x and kept.k_h == bebop.k_h
-    assert "the logs do not determine it" in " ".join(fits[0].warnings)
 
 
 def test_constants_of_an_impossible_sign_are_refused(bebop, flights):

@@ -73,6 +73,9 @@ def test_a_test_flight_has_no_influence_on_the_fit(unlike, tmp_path):
         np.testing.assert_allclose(choice.gains, others[axis].gains, rtol=1e-5, err_msg=axis)
 
 
+RACING = "vehicle=5inch.yaml"
+
+
 @pytest.mark.parametrize(
     ("key", "value", "others"),
     [
@@ -80,10 +83,14 @@ def test_a_test_flight_has_no_influence_on_the_fit(unlike, tmp_path):
         ("nominal.axes", "[az]", ["nominal.fit=false"]),
         ("residual.seeds", 2, ["residual.fit=false"]),
         ("seed", 1, ["residual.fit=false"]),
+        ("residual.max_harm", 0.2, [RACING]),
+        ("body.inertia", "base", [RACING]),
+        ("split.folds", 3, [RACING, "split.by=time"]),
     ],
 )
 def test_keys_without_effect_are_refused(key, value, others, unlike):
     files = f"logs.files=[{unlike}/flight_0.csv, {unlike}/flight_1.csv]"
-    arguments = [files, f"{key}={value}", *others]
+    body = ["body.inertia=null", "body.rpm_range=null"] if RACING in others else []
+    arguments = [files, *body, f"{key}={value}", *others]
     with pytest.raises(InputError, match=rf"^{key} is .*, which has no effect: .*; allowed: "):
         fit(load_fit_config(CONFIG, arguments), unlike)

@@ -79,11 +79,6 @@ def test_known_constants_come_back(logs):
     assert not fit.warnings and fit.r_squared["tau_rate"] > 0.99
 
 
-def test_flights_without_an_inner_loop_have_no_such_model(log):
-    without = dataclasses.replace(log, rate_command=None)
-    assert not fitted([without]).values
-
-
 def test_commands_that_never_change_keep_the_base_value(log):
     still = dataclasses.replace(log, rate_command=np.zeros_like(log.rate_command))
     fit = fitted([still])

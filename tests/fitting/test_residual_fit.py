@@ -1,9 +1,7 @@
-import jax
 import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.axes import Prediction, fit_axes, with_estimates
 from quadjax.fitting.config import ResidualConfig, SplitConfig
 from quadjax.fitting.nominal import AXES, ModelInputs, nominal, regressors, residual_output
@@ -12,7 +10,6 @@ from quadjax.fitting.residual import fit_residuals, select, zero_residual
 from quadjax.fitting.residual_training import MIRROR_OUTPUT, NETWORKS, mirrored
 from quadjax.fitting.samples import ALL, NOWHERE, TEST, Samples, make_split
 from quadjax.fitting.signals import concatenated
-from quadjax.vehicle.residual import read_residual, residual_force_moment, write_residual
 
 from .flights import random_residual
 
@@ -91,25 +88,6 @@ def test_a_known_residual_is_recovered_on_held_out_flights(bebop, recovered):
 
 
 @pytest.mark.slow
-def test_the_file_is_what_was_fitted(tmp_path, bebop, recovered):
-    _, samples, _, fits = recovered
-    residual = fits[ALL][1].residual
-    assert residual.thrust[0][0].shape == (7, 32) and residual.moment[1][0].shape == (32, 3)
-    write_residual(tmp_path / "residual.npz", residual, {})
-    read = read_residual(tmp_path / "residual.npz")
-    motion = samples.motion[:50]
-    expected = residual_output(residual, motion)
-    force, moment = jax.vmap(residual_force_moment, in_axes=(None, 0, 0, 0))(
-        read,
-        Rotors.of(motion.rpm.astype(np.float32)),
-        Vec3.of(motion.body_velocity.astype(np.float32)),
-        Vec3.of(motion.rates.astype(np.float32)),
-    )
-    np.testing.assert_allclose(force, expected[:, 0], atol=1e-3)
-    np.testing.assert_allclose(moment.array(), expected[:, 1:], atol=1e-5)
-
-
-@pytest.mark.slow
 def test_noise_is_rejected_and_so_is_what_nothing_validates(bebop):
     samples = _samples(bebop, zero_residual(bebop).residual, noise=1.0, flights=2, seconds=20.0)
     split = _split(samples, ["a", "b"])
@@ -136,14 +114,6 @@ def _scores(*folds, spread=0.0):
 HELPED, HARMED = (0.5, 0.5), (0.05, 0.3)
 
 
-def test_selection_shrinks_for_the_flight_that_gets_worse():
-    alone, both = (
-        select(("az",), {False: _scores(*folds)}, 0.1)[0]
-        for folds in ((HELPED, HELPED), (HELPED, HARMED))
-    )
-    assert 0.0 < both.scale < alone.scale
-
-
 def test_no_fold_is_harmed_by_more_than_the_limit():
     """The mean over the folds alone would choose the largest scale."""
     folds = [(0.9, 0.9)] * 9 + [(-0.2, 0.3)]
@@ -166,12 +136,6 @@ def test_a_candidate_that_is_rejected_does_not_displace_an_accepted_one():
     noisy = _scores((0.3, 0.3), (0.3, 0.3), spread=0.4)
     chosen = select(("az",), {True: noisy, False: _scores((0.2, 0.2), (0.2, 0.2))}, 0.1)[0]
     assert chosen.rejected is None and chosen.scale > 0.0 and not chosen.mirror
-
-
-def test_one_seed_has_no_spread():
-    one = _scores((0.2, 0.2), (0.2, 0.2))[:, :, :2]
-    chosen = select(("az",), {False: one}, 0.1)[0]
-    assert np.isnan(chosen.seed_spread) and chosen.rejected is None
 
 
 def test_mirror_image_is_one_of_the_nominal_model(bebop):

@@ -52,7 +52,3 @@ def test_values_that_are_no_numbers_are_named(line, tmp_path):
     (tmp_path / "base.yaml").write_text("\n".join([line, *others]))
     with pytest.raises(InputError, match=f"{key} is .*, expected a finite number"):
         read_vehicle("base.yaml", tmp_path)
-
-
-def test_a_base_of_the_file_is_read():
-    assert read_vehicle("bebop1_authors.yaml").models["rate"]["thrust_max"] == 16.0

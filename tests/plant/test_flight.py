@@ -24,7 +24,6 @@ from quadjax.plant.flights import (
 from quadjax.policy.file import Policy
 from quadjax.training.build import untrained_policy
 from quadjax.vehicle.registry import MODELS
-from tests.commands import run
 from tests.evaluation.support import random_policy
 
 PLANT = load_plant_config(CONFIGS / "plant" / "standin.yaml")
@@ -51,8 +50,9 @@ def indi():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["e2e", "indi"])
-def test_a_policy_flies_a_lap(name, request):
-    _, flights = request.getfixturevalue(name)
+def test_a_policy_flies_a_lap_by_its_estimates(name, request):
+    """Close to the true position and not equal: of the ground truth, one sample late."""
+    race, flights = request.getfixturevalue(name)
     assert flights.laps.lap_times.shape == (2, 1)
     assert flights.laps.crashes == ("", "")
     assert ((flights.laps.totals > 2.0) & (flights.laps.totals < 5.0)).all()
@@ -63,16 +63,13 @@ def test_a_policy_flies_a_lap(name, request):
         assert np.linalg.norm(flight["position"][-1] - last_gate) < 1.0
         np.testing.assert_array_equal(flight.passages[:, 1], [0, 1, 2, 3])
         assert flight.passages[-1, 0] == pytest.approx(flight.lap_ends[0], abs=0.01)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["e2e", "indi"])
-def test_policies_observe_estimates(name, request):
-    """Close to the true position and not equal: of the ground truth, one sample late."""
-    _, flights = request.getfixturevalue(name)
-    estimated, true = flights.frames.estimated.position, flights.frames.true.position
-    error = np.abs(rows(flights, estimated, 0) - rows(flights, true, 0))
+    estimated = rows(flights, flights.frames.estimated.position, 0)
+    error = np.abs(estimated - rows(flights, flights.frames.true.position, 0))
     assert 1e-5 < error.mean() < 0.05 and error.max() < 0.1
+    centers = np.array([gate.position for gate in race.track.gates])
+    log = log_quantities(flights, 0, centers)
+    np.testing.assert_array_equal(log["position"], estimated)
+    np.testing.assert_allclose(log["target_gate"][0], centers[0])
 
 
 @pytest.mark.slow
@@ -90,17 +87,6 @@ def test_logs_are_written_by_policy_and_the_fit_reads_them(indi, tmp_path):
     assert np.abs(log.specific_force[:, 2].mean()) > 5.0
 
 
-@pytest.mark.slow
-def test_logged_positions_are_the_estimated_ones(indi):
-    race, flights = indi
-    gates = np.array([gate.position for gate in race.track.gates])
-    log = log_quantities(flights, 0, gates)
-    np.testing.assert_array_equal(
-        log["position"], rows(flights, flights.frames.estimated.position, 0)
-    )
-    np.testing.assert_allclose(log["target_gate"][0], gates[0])
-
-
 def test_the_race_is_the_policys_own():
     config = load_config("e2e +residual")
     policy = Policy.load(PRETRAINED / "indi.npz")
@@ -110,9 +96,8 @@ def test_the_race_is_the_policys_own():
     assert not any(race_config(config, widths).disturbance.half_widths.values())
 
 
-@pytest.mark.parametrize("observed", [f"history={HISTORY}", "last_action=true"])
-def test_earlier_steps_of_another_length_are_refused(observed):
-    config = load_config("e2e", [f"observation.{observed}", "network.hidden=[8]"])
+def test_earlier_steps_of_another_length_are_refused():
+    config = load_config("e2e", [f"observation.history={HISTORY}", "network.hidden=[8]"])
     policy, other = untrained_policy(config), EXACT.replace(control_rate=500.0)
     plan = plan_race(config, other, policy, "own", lap_count=1, runs=2)
     with pytest.raises(InputError, match="of 0.01 s, .* steps are 0.002 s: add control_rate=100"):
@@ -138,13 +123,3 @@ def test_a_history_is_of_the_known_states_and_actions():
         np.testing.assert_array_equal(kept, known)
     before = np.stack(past.action, 1)[3, :, 1]
     np.testing.assert_array_equal(before, np.stack(action, 1)[1])
-
-
-def test_plant_logs_prints_its_progress_before_the_first_log(tmp_path, monkeypatch, capsys):
-    def stop(*_):
-        raise InputError("stopped")
-
-    monkeypatch.setattr("quadjax.evaluation.plants.fly_plan", stop)
-    place = ("--policy", "e2e_nominal", "--output", tmp_path / "logs")
-    assert run("logs", "standin", *place) == 2
-    assert capsys.readouterr().err == "e2e_nominal: compiling\nerror: stopped\n"

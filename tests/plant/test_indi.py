@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.identify import EXPECTED, fit_step, identify
+from benchmarks.identify import EXPECTED, identify
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import indi
 from quadjax.plant.config import IndiConfig, PlantConfig, without_effects
@@ -86,12 +86,6 @@ def test_limits_of_equal_speeds_are_finite(params):
 
     found = jax.jit(jax.vmap(commands))(np.float32(rpm), np.float32(roll)).array()
     assert np.isfinite(found).all()
-
-
-def test_a_lag_is_found_again():
-    time = np.arange(0.0, 0.2, 0.002)
-    step = fit_step("p", 2.0, time, 2.0 - 1.5 * np.exp(-time / 0.041))
-    assert step.tau == pytest.approx(0.041, rel=1e-3) and step.error < 1e-3
 
 
 @pytest.mark.slow

@@ -8,9 +8,7 @@ from scipy.spatial import cKDTree
 
 from quadjax.config.race import choices_of
 from quadjax.core.errors import InputError
-from quadjax.core.files import write_npz
-from quadjax.flights import Flight, Signal, load, save
-from quadjax.flights.files import LIMIT
+from quadjax.flights import Flight, Signal, save
 from quadjax.flights.flight import MOTION
 from quadjax.race.track import inside_turn
 from quadjax.training.build import training_params
@@ -217,17 +215,16 @@ def test_files_of_states_that_do_not_fit_are_one_line(tmp_path):
             training_params(make_config(f"run.start_states={path}"))
 
 
-def test_each_node_of_a_best_known_lap_has_the_gate_ahead_as_its_target(tmp_path):
-    rng, lap = np.random.default_rng(0), tmp_path / "lap.npz"
-    arrays = {name: rng.normal(size=(9, 3)) for name in ("position", "velocity", "rates")}
-    arrays |= {"euler": np.full((9, 3), 4.0), "actuators": np.full((9, 4), 5000.0)}
-    arrays |= {"time": np.arange(9.0), "leg_times": np.full(4, 2.0), "command": np.ones((9, 4))}
-    gates = [gate.model_dump(mode="json") for gate in make_config().track.gates]
-    write_npz(lap, arrays, {"format": LIMIT, "track": gates, "start": "periodic"})
-    states = states_of("lap.npz", load(lap))
+def test_each_node_of_a_best_known_lap_has_the_gate_ahead_as_its_target():
+    passages = np.array([[2.0 * (gate + 1), gate, 0.0] for gate in range(4)])
+    lap = recorded(9, attitude=np.full((9, 3), 4.0))
+    signals = {name: signal for name, signal in lap.signals.items() if name != "target"}
+    lap = lap.replace(signals=signals, passages=passages, source={"periodic": True})
+    states = states_of("lap.npz", [lap.replace(gates=make_config().track.gates)])
     assert states["target"].tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
-    np.testing.assert_array_equal(states["position"], arrays["position"][:-1])
+    np.testing.assert_array_equal(states["position"], lap["position"][:-1])
     np.testing.assert_allclose(states["attitude"], 4.0 - 2.0 * np.pi)
+    np.testing.assert_array_equal(states["actuators"], lap["actuators"][:-1])
 
 
 def test_starts_of_a_race():
