@@ -49,7 +49,7 @@ def rows_of(path: Path) -> list[list[str]]:
     return found
 
 
-def biases(policy):
+def biases(policy) -> list:
     """Of the layers of a policy's network."""
     return [layer.bias for layer in policy.network.layers]
 
