@@ -13,8 +13,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from quadjax.flights import load
-from quadjax.view.data import page_record
+from quadjax.core.files import read_json
 from quadjax.view.page import write_page
 
 OPTIONS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -23,7 +22,9 @@ OPTIONS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshad
 def main() -> None:
     """Write the animation."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("record", type=Path, help="flights, as of quadjax view --output FILE.npz")
+    parser.add_argument(
+        "record", type=Path, help="of quadjax view --output FILE.json"
+    )
     parser.add_argument("output", type=Path, help=".webp")
     parser.add_argument("--start", type=float, default=2.0, help="s")
     parser.add_argument("--seconds", type=float, default=4.5)
@@ -33,7 +34,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "flights.html"
-        write_page(page, page_record("", load(options.record)))
+        write_page(page, read_json(options.record))
         frames = list(_frames(page, options))
     frames[0].save(
         options.output,

@@ -1,4 +1,4 @@
-"""Files of flights, and of lap times and pages as flights.
+"""Files of flights, and of lap times.
 
 The written file (``.npz``, format ``quadjax-flights/2``) has, for f flights of at most n samples,
 ``time`` (f, n), s, each signal (f, n, k) by its name, ``passages`` (f, m, 3) and ``lap_ends``
@@ -7,25 +7,21 @@ The written file (``.npz``, format ``quadjax-flights/2``) has, for f flights of 
 name.
 """
 
-import base64
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, read_npz, whole_file, write_npz
 from quadjax.core.sections import build
-from quadjax.flights.flight import Flight, Signal, motion_signals
+from quadjax.flights.flight import Flight, Signal
 from quadjax.flights.gates import is_same_track
 from quadjax.race.track import GateSection
 
 FORMAT = "quadjax-flights/2"
-RECORD = "quadjax-flights/1"  # JSON: the data of a page
-MISSING = -32768  # of the integers of a record: no value
 WITH_ONE_NAME = ("time", "passages", "lap_ends")
 
 
@@ -112,8 +108,8 @@ def load(path: Path | str, name: str = "") -> list[Flight]:
 
     Args:
         path: an ``.npz`` file of ``save``, of ``quadjax evaluate --states`` or of ``quadjax limit
-            --npz``; or a ``.json`` file of ``quadjax evaluate --json``, ``quadjax limit --json`` or
-            ``quadjax view``. Lap times without a trajectory are a flight without samples.
+            --npz``; or a ``.json`` file of ``quadjax evaluate --json`` or ``quadjax limit --json``,
+            whose lap times are a flight without samples.
         name: of lap times; the file's stem if not given.
 
     Raises:
@@ -121,7 +117,7 @@ def load(path: Path | str, name: str = "") -> list[Flight]:
     """
     path, label = Path(path), name or Path(path).stem
     if path.suffix == ".json":
-        return _read_json(path, label)
+        return [_read_json(path, label)]
     _, meta = read_npz(path, FORMAT)
     try:
         gates = tuple(build(GateSection, gate, f"{path}: gates") for gate in meta["gates"])
@@ -167,22 +163,11 @@ def _flight_at(
     )
 
 
-def _read_json(path: Path, name: str) -> list[Flight]:
-    """Flights or lap times of a JSON file."""
+def _read_json(path: Path, name: str) -> Flight:
+    """Lap times of a JSON file, of the fastest complete run or of a best known lap."""
     value = read_json(path)
-    if value.get("format") == RECORD:
-        try:
-            gates = tuple(_gate_of_record(path, each) for each in value["gates"])
-            flights = [_flight_of_record(each, gates) for each in value["flights"]]
-            markers = value["markers"]
-            return flights + [lap_times(m["name"], np.diff([0.0, *m["lap_ends"]])) for m in markers]
-        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
-            text = f"{type(error).__name__}: {error}"
-            raise InputError(f"{path}: damaged, not {RECORD} ({text[:200]})") from error
-    if "format" in value:
-        raise InputError(f"{path}: format is {value['format']!r:.80}, expected {RECORD}")
     if "best_known" in value and value.get("start") == "periodic":
-        return [lap_times(name, [float(value["best_known"])])]
+        return lap_times(name, [float(value["best_known"])])
     laps = value.get("laps")
     try:
         rows = [np.array(row, np.float64) for row in laps] if isinstance(laps, list) else []
@@ -190,44 +175,8 @@ def _read_json(path: Path, name: str) -> list[Flight]:
         rows = []
     whole = [row for row in rows if row.ndim == 1 and len(row) and np.isfinite(row).all()]
     if not whole:
-        text = f"expected format {RECORD}, or laps: lists of times of complete runs"
-        raise InputError(f"{path}: {text}")
-    return [lap_times(name, min(whole, key=lambda row: float(row.sum())))]
-
-
-def _gate_of_record(path: Path, value: dict[str, Any]) -> GateSection:
-    axes = np.array(value["axes"], np.float64).reshape(3, 3)
-    yaw, pitch, roll = Rotation.from_matrix(axes).as_euler("ZYX", degrees=True)
-    angles = {"yaw_deg": float(yaw), "pitch_deg": float(pitch), "roll_deg": float(roll)}
-    own = {key: value[key] for key in ("position", "size", "shape")}
-    return build(GateSection, own | angles, f"{path}: gates")
-
-
-def _flight_of_record(value: dict[str, Any], gates: tuple[GateSection, ...]) -> Flight:
-    """A flight whose signals are base64 of 16-bit integers."""
-    time = np.frombuffer(base64.b64decode(value["time"]), "<f4").astype(np.float64)
-    arrays, signals = {}, {}
-    for each in value["signals"]:
-        integers = np.frombuffer(base64.b64decode(each["data"]), "<i2").reshape(len(time), -1)
-        known = np.where(integers == MISSING, np.nan, integers)
-        arrays[each["name"]] = np.array(each["offset"]) + np.array(each["scale"]) * known
-        if "title" in each:
-            values, labels = arrays[each["name"]], tuple(map(str, each["labels"]))
-            title = re.sub(r"\W+", "_", each["title"])[:40]
-            signals[title] = Signal(values, str(each["unit"]), labels)
-    turns = Rotation.from_quat(np.roll(arrays["attitude"], -1, axis=1))
-    arrays["attitude"] = turns.as_euler("ZYX")[:, ::-1]
-    passed = [[np.nan if x is None else float(x) for x in row] for row in value["passages"]]
-    return Flight(
-        name=str(value["name"]),
-        time=time,
-        signals=motion_signals(arrays) | signals,
-        gates=gates,
-        passages=np.array(passed, np.float64).reshape(-1, 3),
-        lap_ends=np.array(value["lap_ends"], np.float64),
-        crash=str(value.get("crash") or "") or None,
-        source={"note": str(value.get("note", ""))},
-    )
+        raise InputError(f"{path}: expected laps: lists of times of complete runs")
+    return lap_times(name, min(whole, key=lambda row: float(row.sum())))
 
 
 def lap_times(name: str, times: Sequence[float] | np.ndarray) -> Flight:
