@@ -3,10 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.core.resources import PRETRAINED
-from quadjax.evaluation.plants import write_logs
 from quadjax.fitting.axes import fit_axes
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_logs, write_log
@@ -21,8 +18,6 @@ from quadjax.fitting.nominal import (
 from quadjax.fitting.regression import Parameter, Problem, check_signs, solve
 from quadjax.fitting.samples import airborne, prepare
 from quadjax.fitting.signals import derivative, low_pass, noise_level
-from quadjax.plant.config import load_plant_config
-from quadjax.plant.flights import plan_logs
 from quadjax.vehicle.battery import BatteryConfig
 from tests import reference as ref
 
@@ -118,20 +113,6 @@ def test_constants_of_a_known_model_come_back(bebop, flights):
             assert abs(value / truth - 1.0) < 0.02, name
             assert abs(value - truth) < 3.0 * error, name
     print("largest relative error of a constant", worst)
-
-
-@pytest.mark.slow
-def test_constants_come_back_from_logs_of_the_exact_plant(bebop, tmp_path):
-    """Those of two races without sensor errors; the noise of others would have to be subtracted."""
-    policies = [PRETRAINED / "e2e_nominal.npz", PRETRAINED / "indi_shac.npz"]
-    plans = plan_logs(load_config("e2e"), load_plant_config("exact"), policies, 1, 2)
-    write_logs(plans, tmp_path)
-    logs = read_logs(LogsConfig(files=["*.csv"], format="paparazzi"), tmp_path)
-    for fit in fit_axes(samples_of(logs, bebop), bebop.replace(k_w=1.0)):
-        for name, value in fit.constants.items():
-            print(f"{name} {100.0 * (value / getattr(bebop, name) - 1.0):+.2f}%")
-            assert abs(value / getattr(bebop, name) - 1.0) < 0.005, name
-    assert abs(lag_of(logs, 0.1).constants["tau"] / bebop.tau - 1.0) < 0.005
 
 
 def test_motor_lag_comes_back(flights):
