@@ -22,9 +22,7 @@ OPTIONS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshad
 def main() -> None:
     """Write the animation."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "record", type=Path, help="of quadjax view --output FILE.json"
-    )
+    parser.add_argument("record", type=Path, help="of quadjax view --output FILE.json")
     parser.add_argument("output", type=Path, help=".webp")
     parser.add_argument("--start", type=float, default=2.0, help="s")
     parser.add_argument("--seconds", type=float, default=4.5)

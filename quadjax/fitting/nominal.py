@@ -17,7 +17,7 @@ from quadjax.core.mlp import Layers
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.signals import Rows
 from quadjax.vehicle import motor, racing
-from quadjax.vehicle.constants import constant_names, from_values, replaced, rotor_names, values_of
+from quadjax.vehicle.constants import from_values, replaced, rotor_names, values_of
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.rate import RateConstants
@@ -120,12 +120,7 @@ def nominal(constants: Constants, motion: ModelInputs) -> np.ndarray:
     return np.stack([number for part in parts for number in part.components()], axis=1)
 
 
-NO_CONSTANTS: MotorConstants = from_values(
-    MotorConstants, dict.fromkeys(constant_names(MotorConstants), 0.0)
-)
-
-
-def regressors(motion: ModelInputs, constants: Constants = NO_CONSTANTS) -> dict[str, np.ndarray]:
+def regressors(motion: ModelInputs, constants: Constants) -> dict[str, np.ndarray]:
     """For each axis a column per constant of ``EQUATIONS``: (n, k).
 
     Args:

@@ -54,7 +54,7 @@ def _samples(constants, residual, noise, flights=3, seconds=40.0, seed=0):
         truth = nominal(constants, motion)
         truth[:, 2:] += residual_output(residual, motion)
         truth += noise * random.normal(size=truth.shape) * [0.3, 0.3, 0.3, 5e-3, 5e-3, 2e-3]
-        columns = regressors(motion)
+        columns = regressors(motion, constants)
         nothing = {axis: np.zeros_like(c) for axis, c in columns.items()}
         parts.append(
             Samples(motion, columns, nothing, truth, np.full(len(time), flight), time, rate)
