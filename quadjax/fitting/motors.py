@@ -246,7 +246,7 @@ def _fit_limit(parts: dict[str, Followed], tau: Parameter, base: BatteryConfig) 
     flights = list(parts.values())
     sag = base.rpm_full * base.resistance * base.hover_current / base.voltage
     has_drain = max(part.used[-1] for part in flights) >= LEAST_USED
-    physical = {"low": 0.0, "positive": True, "small": True, "physical": True}
+    physical: dict[str, Any] = {"low": 0.0, "positive": True, "small": True, "physical": True}
     starts = [
         Parameter(name, np.percentile(p.measured, 99.0) + 100.0 * np.median(p.load), 0.0, size=1e3)
         for name, p in parts.items()
@@ -291,10 +291,12 @@ def fit_rate_model(
     rates = [_followed(log, used, log.rates, turn) for log, used, turn, _ in pairs]
     thrusts = [_followed(log, used, -log.specific_force[:, 2:], u) for log, used, _, u in pairs]
     lags = [
-        _fit_lag(parts, name, Parameter(name, float(getattr(base, name)), *TAU), what, least)
-        for name, parts, what, least in (
-            ("tau_rate", rates, "commanded body rates", LEAST_EXPLAINED),
-            ("tau_thrust", thrusts, "commanded thrust", LEAST_EXPLAINED),
+        _fit_lag(
+            parts, name, Parameter(name, float(getattr(base, name)), *TAU), what, LEAST_EXPLAINED
+        )
+        for name, parts, what in (
+            ("tau_rate", rates, "commanded body rates"),
+            ("tau_thrust", thrusts, "commanded thrust"),
         )
     ]
     samples = prepare([log for log, *_ in pairs], base, [used for _, used, *_ in pairs])

@@ -86,7 +86,8 @@ def quantities_of(
     Raises:
         InputError: a missing column, columns of different lengths, or a number that is not finite.
     """
-    path, result = table.path, {}
+    path = table.path
+    result: Quantities = {}
     for quantity, group in names.items():
         columns = []
         for name in group:
