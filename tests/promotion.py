@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Iterator
 
 import jax
+import pytest
 
 RANKS = {"jax_numpy_rank_promotion": "raise"}
 TYPES = {"jax_numpy_dtype_promotion": "strict"}
@@ -22,3 +23,14 @@ def settings(values: dict[str, str]) -> Iterator[None]:
     finally:
         for name, value in before.items():
             jax.config.update(name, value)
+
+
+def strict(values: dict[str, str]) -> object:
+    """A fixture of a folder, all of whose tests run with ``values``."""
+
+    @pytest.fixture(scope="package", autouse=True)
+    def _strict() -> Iterator[None]:
+        with settings(values):
+            yield
+
+    return _strict

@@ -1,12 +1,3 @@
-from collections.abc import Iterator
+from tests.promotion import RANKS, strict
 
-import pytest
-
-from tests.promotion import RANKS, settings
-
-
-@pytest.fixture(scope="package", autouse=True)
-def _strict() -> Iterator[None]:
-    """Every test of this room runs without silent broadcasting; Optax itself mixes dtypes."""
-    with settings(RANKS):
-        yield
+_strict = strict(RANKS)  # Optax itself mixes dtypes

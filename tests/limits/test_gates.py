@@ -1,4 +1,6 @@
-"""Tilted and round gates in the solver are those of the race."""
+"""Gates of the solver are those of the race; laps of flights, and where one loses time."""
+
+import threading
 
 import jax
 import numpy as np
@@ -6,11 +8,30 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
+from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
-from quadjax.limits.problem import POSITION, Flight, gates_of, make_problem
-from quadjax.limits.verify import passages
 from quadjax.race.rules import inside_opening
 from quadjax.race.track import TrackSection, build_track, gate, to_opening_frame
+
+pytest.importorskip("casadi")
+from quadjax.limits.collocation import Dynamics, Settings, solve  # noqa: E402
+from quadjax.limits.compare import compare, flights_figure  # noqa: E402
+from quadjax.limits.guess import from_flight, from_spline  # noqa: E402
+from quadjax.limits.problem import (  # noqa: E402
+    ACTUATORS,
+    ATTITUDE,
+    POSITION,
+    VELOCITY,
+    Flight,
+    gates_of,
+    make_problem,
+)
+from quadjax.limits.trajectory import Trajectory  # noqa: E402
+from quadjax.limits.verify import passages  # noqa: E402
+
+
+def _problem(*overrides):
+    return make_problem(*race_of(load_config("indi +fastest", list(overrides))))
 
 
 def _track():
@@ -62,12 +83,6 @@ MARGIN = 0.01  # m
 
 @pytest.mark.parametrize("shape", ["", ", shape: circle", ", roll_deg: 45"])
 def test_a_gate_beside_the_way_is_passed_at_its_edge(shape):
-    import threading
-
-    pytest.importorskip("casadi")
-    from quadjax.limits.collocation import Dynamics, Settings, solve
-    from quadjax.limits.guess import from_spline
-
     race = race_of(load_config("indi", [GATES % shape]))
     problem = make_problem(*race, Flight(gates=2, stops=True))
     guess, settings = from_spline(problem, 1, 8), Settings(MARGIN, smoothness=1e-3)
@@ -78,8 +93,6 @@ def test_a_gate_beside_the_way_is_passed_at_its_edge(shape):
 
 
 def test_a_body_radius_narrows_openings_bounds_and_ground():
-    from quadjax.core.errors import InputError
-
     rules = ["rules.body_radius=0.1", "rules.gate_frame=0.2", "rules.bounds=[[-9,9],[-9,9],[-5,0]]"]
     choices, params = race_of(load_config("indi +fastest", rules))
     problem = make_problem(choices, params)
@@ -104,3 +117,46 @@ def test_a_passage_is_measured_against_the_required_clearance(clearance, right, 
     np.testing.assert_allclose(times, [5.5e-3])
     assert problem.leeway(0, place) == pytest.approx(leeway, abs=1e-6)
     assert not len(passages(problem.gates, [0], path + side, 1e-3, 0.3)[0])
+
+
+def test_a_slower_leg_is_where_the_time_is_lost():
+    best = from_spline(_problem(), 1, 10)
+    slower = best.leg_times + np.array([0.0, 0.3, 0.0, 0.0])
+    result = compare(best, Trajectory(slower, best.states, best.commands))
+    assert result.gap == pytest.approx(0.3 / best.total)
+    np.testing.assert_allclose(
+        result.lost_per_meter, [0.0, 0.3 / result.length[1], 0.0, 0.0], atol=1e-12
+    )
+    np.testing.assert_allclose(result.lost[[0, 50, 100, -1]], [0.0, 0.0, 0.3, 0.3], atol=1e-9)
+
+
+def test_laps_are_cut_from_a_recorded_flight():
+    problem = _problem()
+    states = from_spline(problem, 1, 50).states[:-1]
+    parts = states[:, POSITION], states[:, VELOCITY], *np.zeros((2, 200, 3))
+    motion = [np.tile(x, (3, 1)) for x in parts]
+    motion[2][:, 2] = np.linspace(0.0, 9.0, 600) % (2.0 * np.pi)
+    columns = [*motion, np.full((600, 1), 9.0), np.zeros((600, 4))]
+    (lap, *_) = from_flight(problem, columns, 0.01, 10)
+    assert lap.leg_times == pytest.approx(0.5 * np.ones(4), abs=0.011)
+    gates = lap.states[::10, POSITION]
+    np.testing.assert_allclose(gates, problem.gates.position[[3, 0, 1, 2, 3]], atol=0.05)
+    assert np.linalg.norm(lap.states[:, VELOCITY], axis=1).min() > 1.0
+    np.testing.assert_allclose(lap.states[:, ACTUATORS], 9.0)
+    assert np.abs(np.diff(lap.states[:, ATTITUDE], axis=0)).max() < 0.3
+
+
+def test_gates_at_one_place_have_one_label():
+    config = load_config("indi +fastest", ["track=split_s"])
+    problem = make_problem(*race_of(config))
+    states = np.random.default_rng(0).normal(size=(29, 14))
+    flights = {
+        name: Trajectory(np.full(7, seconds), states, np.zeros((29, 4)))
+        for name, seconds in (("best known", 0.5), ("policy", 0.6))
+    }
+    path, *others = flights_figure(problem, config.track.gates, flights).axes
+    texts = [text.get_text() for text in path.texts]
+    assert [text for text in texts if text and "m" not in text] == ["1", "2", "3", "4, 5", "6", "7"]
+    assert [axes for axes in others if axes.get_ylabel() == "time lost [ms]"]
+    (commands,) = [axes for axes in others if axes.get_ylabel() == "commands"]
+    assert len(commands.get_yticklabels()) == 4

@@ -14,6 +14,12 @@ from quadjax.limits.problem import ATTITUDE, VELOCITY, Flight, make_problem
 from tests.commands import run
 
 pytest.importorskip("casadi")
+from quadjax.limits import search as module  # noqa: E402
+from quadjax.limits.guess import from_spline  # noqa: E402
+from quadjax.limits.result import read_guess  # noqa: E402
+from quadjax.limits.search import Search  # noqa: E402
+from quadjax.limits.trajectory import Trajectory  # noqa: E402
+from quadjax.limits.verify import verify  # noqa: E402
 
 
 def _problem(*overrides, **options):
@@ -21,8 +27,6 @@ def _problem(*overrides, **options):
 
 
 def _trajectory(seconds, intervals=2):
-    from quadjax.limits.trajectory import Trajectory
-
     states = np.tile(
         np.concatenate([np.zeros(6), np.eye(4)[0], np.zeros(4)]), (4 * intervals + 1, 1)
     )
@@ -44,9 +48,6 @@ def test_the_speed_limit_of_a_race_is_a_constraint():
 def test_a_search_that_finds_nothing_exits_with_1_and_keeps_the_last_solution(
     tmp_path, monkeypatch, capsys
 ):
-    from quadjax.limits import search as module
-    from quadjax.limits.result import read_guess
-
     def interrupted(*arguments, **options):
         raise module.NotFoundError({"a": "stopped"}, _trajectory(1.0), "misses gate 1 by 3.0 mm")
 
@@ -63,8 +64,6 @@ def test_a_search_that_finds_nothing_exits_with_1_and_keeps_the_last_solution(
 
 @pytest.mark.slow
 def test_ctrl_c_keeps_the_best_flight(capfd):
-    from quadjax.limits.search import Search
-
     stop = threading.Event()
 
     def report(text):
@@ -80,8 +79,6 @@ def test_ctrl_c_keeps_the_best_flight(capfd):
 
 @pytest.mark.slow
 def test_a_race_from_rest_to_rest():
-    from quadjax.limits.search import Search
-
     problem = _problem(gates=6, stops=True)
     best = Search(problem, seconds=1000).run(starts=1)
     check = best.check
@@ -93,9 +90,6 @@ def test_a_race_from_rest_to_rest():
 
 @pytest.mark.slow
 def test_the_lap_on_square4_is_verified_and_other_commands_are_refused():
-    from quadjax.limits.search import Search
-    from quadjax.limits.verify import verify
-
     problem = _problem()
     best = Search(problem, seconds=1000).run(starts=1)
     assert best.total <= 2.61
@@ -110,8 +104,6 @@ def test_the_lap_on_square4_is_verified_and_other_commands_are_refused():
 
 @pytest.mark.slow
 def test_a_lap_with_a_split_s_is_found_from_a_spline():
-    from quadjax.limits.search import Search
-
     race = race_of(load_config("e2e +fastest", ["vehicle=5inch", "track=split_s"]))
     stop = threading.Event()  # set at the first verified flight
     report = lambda text: search.best is not None and stop.set()  # noqa: E731
@@ -122,8 +114,6 @@ def test_a_lap_with_a_split_s_is_found_from_a_spline():
 
 
 def test_a_guess_closes_the_lap_and_its_thrust_is_along_the_force():
-    from quadjax.limits.guess import from_spline
-
     problem = make_problem(*race_of(load_config("e2e +fastest", ["vehicle=5inch"])))
     guess = from_spline(problem, 1)
     quaternion = guess.states[:, ATTITUDE]

@@ -6,6 +6,7 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
+from quadjax.core.errors import InputError
 from quadjax.limits.problem import (
     ATTITUDE,
     RATES,
@@ -17,6 +18,9 @@ from quadjax.limits.problem import (
 )
 
 casadi = pytest.importorskip("casadi")
+from quadjax.limits.collocation import Dynamics  # noqa: E402
+from quadjax.limits.translate import translate  # noqa: E402
+
 RACES = {
     "motor": ("e2e",),
     "motor with residual": ("e2e +residual",),
@@ -33,8 +37,6 @@ def _race(name):
 
 @pytest.mark.parametrize("name", RACES)
 def test_the_equations_agree_with_jax(name):
-    from quadjax.limits.collocation import Dynamics
-
     choices, params = _race(name)
     problem, rng = make_problem(choices, params), np.random.default_rng(0)
     slope, (low, high) = Dynamics(problem).slope, problem.command_range
@@ -68,9 +70,6 @@ def test_a_quaternion_has_the_accelerations_of_the_race_with_euler_angles(name):
 
 
 def test_an_unknown_operation_is_named():
-    from quadjax.core.errors import InputError
-    from quadjax.limits.translate import translate
-
     function = translate(jax.lax.erf_inv, np.array([0.5]))
     with pytest.raises(InputError, match="erf_inv"):
         function(casadi.SX.sym("x"))

@@ -1,12 +1,3 @@
-from collections.abc import Iterator
+from tests.promotion import RANKS, TYPES, strict
 
-import pytest
-
-from tests.promotion import RANKS, TYPES, settings
-
-
-@pytest.fixture(scope="package", autouse=True)
-def _strict() -> Iterator[None]:
-    """Every test of this room runs without silent promotions."""
-    with settings(RANKS | TYPES):
-        yield
+_strict = strict(RANKS | TYPES)
