@@ -276,6 +276,7 @@ def test_a_held_out_flight_has_no_influence_on_its_prediction(form, pieces):
     assert "held out: R^2 of the last part of each flight" in tables(by_time)
 
 
+@pytest.mark.slow
 def test_no_key_of_the_base_vehicle_is_lost_in_the_file_for_training(pieces, tmp_path):
     text = (REPOSITORY / "configs/vehicles/5inch.yaml").read_text()
     others = "motor: {k_x: 1.5e-05}\nmass: 0.7\nwidth: 0.3\nfitted_speed: 28.0\n"
