@@ -27,7 +27,8 @@ def rows_of(path: Path) -> list[list[str]]:
     """Rows of the table for a policy."""
     words = path.read_bytes()
     policy, found = unpack(words), []
-    wide = "-".join(str(x) for x in (policy.network.inputs, *map(len, biases(policy))))
+    sizes = [len(layer.bias) for layer in policy.network.layers]
+    wide = "-".join(str(x) for x in (policy.network.inputs, *sizes))
     row = np.full(policy.network.inputs, 0.3, np.float32)
     vehicle = vehicles(policy, np.zeros((1, policy.race.state_size), np.float32))
     for processor, builds in BUILDS.items():
@@ -47,11 +48,6 @@ def rows_of(path: Path) -> list[list[str]]:
             label = f"{processor}, {build.label}"
             found.append([wide, label, *(f"{number:,}" for number in numbers)])
     return found
-
-
-def biases(policy) -> list:
-    """Of the layers of a policy's network."""
-    return [layer.bias for layer in policy.network.layers]
 
 
 def main() -> None:

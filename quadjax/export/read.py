@@ -117,8 +117,11 @@ def _check(policy: FixedPolicy) -> None:
     ends = (network.command_low, network.command_high)
     _require(bool(np.all(ends[0] <= ends[1]) and np.all(ends[0] > -(2**31))), "a command range")
     _check_state(race)
+    place = 0
     for part in race.inputs:
+        _require(part.index == place, f"the place of {part.name}")
         _check_input(race, part)
+        place += race.box.layout[part.name].size
     _check_track(race)
     if policy.estimator is not None:
         _check_estimator(policy.estimator)

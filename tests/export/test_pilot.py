@@ -71,8 +71,8 @@ def quaternion_of(angles):
 class Glue:
     """The files of an export for one target, compiled; the words may be changed."""
 
-    def __init__(self, target, policy, own, folder, change=lambda words: words):
-        self.converted = converted_in(folder, policy, own, target)
+    def __init__(self, target, policy, own, folder, change=lambda words: words, rate=500.0):
+        self.converted = converted_in(folder, policy, own, target, rate)
         self.folder = folder
         vars(self.converted)["words"] = change(self.converted.words)
         for name, data in self.converted.files().items():
@@ -87,12 +87,13 @@ class Glue:
 
 class Paparazzi(Glue):
     calls = 5  # at 512 Hz, in 0.01 s
+    options = ()
 
     def build(self):
         modules = self.folder / "modules"
         modules.mkdir()
         (modules / "quadjax").symlink_to(self.folder / "paparazzi")
-        flags = ["-std=gnu99", "-DPREFLIGHT_CHECKS=1", "-DPERIODIC_TELEMETRY=1",
+        flags = ["-std=gnu99", "-DPREFLIGHT_CHECKS=1", "-DPERIODIC_TELEMETRY=1", *self.options,
                  f"-I{self.folder}", f"-isystem{STUBS / 'paparazzi_stubs'}"]  # fmt: skip
         files = [p for p in self.sources("paparazzi") if p.name != "qj_angles.c"]
         files.append(STUBS / "paparazzi_stubs/stub_main.c")
@@ -101,12 +102,16 @@ class Paparazzi(Glue):
     def start(self):
         return self.library.stub_start()
 
+    def telemetry(self):
+        """The numbers of the status message."""
+        self.library.stub_sent.restype = ctypes.POINTER(ctypes.c_float)
+        return self.library.stub_sent()[:15]
+
     def step(self, row, flying=True):
-        numbers = np.concatenate(
-            [row[:9], quaternion_of(row[6:9]), row[9:12], row[12:], np.zeros(4)]
-        )
+        """With a row of 22 numbers, also specific force and body velocity."""
+        sensors = row[16:] if len(row) > 16 else [0.0, 0.0, -row[12], 0.0, 0.0, 0.0]
+        state = np.float32([*row[:9], *quaternion_of(row[6:9]), *row[9:16], *sensors])
         out = np.zeros(4, np.float32)
-        state = np.float32(numbers)
         self.flags = self.library.stub_step(pointer(state), int(flying), self.calls, pointer(out))
         return out
 
@@ -289,7 +294,7 @@ def test_numbers_of_any_bits_give_commands_in_range(glue):
 def test_px4_holds_then_idles_when_something_is_lost(glue):
     row = rows_of(np.random.default_rng(2), 1, False)[0]
     assert np.all(glue.step(row, flying=False) == -1)  # nothing is published
-    for lost in (1, 2, 4):
+    for lost in (1, 2, 4, 16):
         glue.step(row, flying=False)
         flown = glue.step(row)
         assert glue.ready
@@ -299,6 +304,23 @@ def test_px4_holds_then_idles_when_something_is_lost(glue):
             idle = glue.step(row, lost=lost)
         assert not glue.ready and np.array_equal(idle, np.zeros(4))
         assert np.all(glue.step(row) > 0) and glue.ready
+
+
+def test_px4_refuses_files_and_airframes(tmp_path):
+    px4 = Px4("px4", *made("racing with a history"), tmp_path)
+    assert not px4.wrong and px4.library.stub_configured() and px4.library.stub_interval() == 10_000
+    words, path = px4.converted.words, tmp_path / "made.qjp"
+    files = {"whole": words, "none": None, "empty": b"", "cut": words[:-4], "odd": words[:-1],
+             "flipped": flipped(words), "large": words + bytes(196608)}  # fmt: skip
+    for number, (name, data) in enumerate((*files.items(), ("no X", words))):
+        path.unlink(missing_ok=True)
+        if data is not None:
+            path.write_bytes(data)
+        copy = tmp_path / f"{number}.so"  # with its own memory
+        copy.write_bytes((tmp_path / "px4.so").read_bytes())
+        refused = ctypes.CDLL(str(copy)).stub_start(int(name == "no X"))
+        assert bool(refused) == (name != "whole"), name
+    assert px4.library.stub_stop() == 1
 
 
 def flipped(words):

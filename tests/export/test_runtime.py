@@ -9,6 +9,7 @@ import zlib
 import numpy as np
 import pytest
 
+from benchmarks import eva, mutate
 from quadjax.core.errors import InputError
 from quadjax.export import emulator
 from quadjax.export.cases import check_vectors, hostile_vectors
@@ -120,6 +121,17 @@ CHANGES = {
     "half a gain": ("qj_estimator.c", "qj_scaled(2 * x, gain", "qj_scaled(x, gain"),
     "no residual": ("qj_estimator.c", "x[i] -= qj_clamp", "x[i] -= 0 * qj_clamp"),
     "a square": ("qj_estimator.c", "square[0] - square[1]", "square[0] + square[1]"),
+    "no feedback": ("qj_estimator.c", "qj_scaled(y, qj_long(e + QJ_ESTIMATOR_A2), Q30)", "0"),
+    "another start": ("qj_estimator.c", "= -qj_scaled(d[i]", "= qj_scaled(d[i]"),
+}
+BATTERY_CHANGES = {
+    "above the limit": ("qj_estimator.c", "(command >= limit) ? ONE : 0", "ONE"),
+    "no limit": ("qj_estimator.c", "(command >= limit) ? limit : command", "command"),
+    "no lead": ("qj_estimator.c", "b[QJ_BATTERY_LEAD], ", "0, "),
+    "half a gain": ("qj_estimator.c", "b[QJ_BATTERY_GAIN], ", "b[QJ_BATTERY_GAIN] / 2, "),
+    "one motor": ("qj_estimator.c", "sum += qj_scaled(error", "sum = qj_scaled(error"),
+    "below the lowest": ("qj_estimator.c", "qj_long(b + QJ_BATTERY_LOWEST), qj", "0, qj"),
+    "another first one": ("qj_estimator.c", "QJ_BATTERY_FIRST", "QJ_BATTERY_HIGHEST"),
 }
 
 
@@ -157,10 +169,12 @@ def load(runtime, data):
 
 @pytest.mark.slow
 def test_the_self_tests_see_a_change_of_the_c(tmp_path):
-    _, words = everything()
-    assert load(runtime_of(tmp_path / "right"), words) == 0
-    for number, (name, change) in enumerate(CHANGES.items()):
-        assert load(runtime_of(tmp_path / str(number), change), words) == 13, name
+    right, kinds = runtime_of(tmp_path / "right"), {"disturbances": CHANGES, "rpm": BATTERY_CHANGES}
+    words = {"disturbances": everything()[1], "rpm": pack(fixed("e2e, axes and more")[1])}
+    for kind, changes in kinds.items():
+        assert load(right, words[kind]) == 0
+        for name, change in changes.items():
+            assert load(runtime_of(tmp_path / f"{kind} {name}", change), words[kind]) == 13, name
 
 
 # ---- changes of the words ------------------------------------------------------------------------
@@ -265,142 +279,32 @@ def test_weights_that_may_overflow_are_refused(data, runtime):
     assert load(runtime, edited(data, flipped)) == 13
 
 
-FUZZ = """
-#include "qj.h"
-uint32_t crc32_of_words(const int32_t *words, uint32_t count);
-void fuzz(int32_t *words, uint32_t bytes, const uint32_t *edits, uint8_t *errors, uint32_t count);
-uint32_t crc32_of_words(const int32_t *words, uint32_t count) {
-  uint32_t crc = 0xFFFFFFFFU;
-  for (uint32_t i = 0U; i < 4U * count; ++i) {
-    crc ^= ((const uint8_t *)words)[i];
-    for (int bit = 0; bit < 8; ++bit) { crc = (crc >> 1) ^ (0xEDB88320U & (0U - (crc & 1U))); }
-  }
-  return ~crc;
-}
-/* An edit: two places and two values; the errors of the loader with a right checksum. */
-void fuzz(int32_t *words, uint32_t bytes, const uint32_t *edits, uint8_t *errors, uint32_t count) {
-  static qj_policy policy;
-  static qj_race race;
-  const uint32_t last = bytes / 4U - 1U;
-  for (uint32_t i = 0U; i < count; ++i) {
-    const uint32_t *const e = edits + 4U * i;
-    const int32_t old[2] = {words[e[0]], words[e[2]]};
-    words[e[0]] = (int32_t)e[1];
-    words[e[2]] = (int32_t)e[3];
-    words[last] = (int32_t)crc32_of_words(words, last);
-    errors[i] = (uint8_t)qj_load(&policy, &race, words, bytes);
-    words[e[2]] = old[1];
-    words[e[0]] = old[0];
-  }
-}
-"""
-EDGES = (0, 1, 2, 3, 4, 7, 8, 31, 32, 33, 64, 127, 128, 129, 4096, 65536, 2**30 - 1, 2**30,
-         2**30 + 1, 2**31 - 1, 2**31, 3 * 2**30, 2**32 - 1)  # fmt: skip
+def files_of(folder, *kinds):
+    """Files of words."""
+    words = {"racing": pack(fixed("published racing")[1]), "everything": everything()[1],
+             "history": pack(fixed("racing with a history")[1]),
+             "battery": pack(fixed("e2e, axes and more")[1])}  # fmt: skip
+    for kind in kinds:
+        (folder / f"{kind}.qjp").write_bytes(words[kind])
+    return [folder / f"{kind}.qjp" for kind in kinds]
 
 
-def edits_of(data, count, seed):
-    """Edits (count, 4) uint32 of words, more in the numbers than in tables and texts."""
-    rng, words = np.random.default_rng(seed), np.frombuffer(data, "<u4")
-    places = [at_of(data, "header", name) for name in ("source", "name", "vehicle")]
-    sizes = [8, 8, 4]  # texts, of which Python alone checks the contents
-    places += [at_of(data, "part", "name", row) for row in range(header_of(data)["parts"])]
-    sizes += [6] * header_of(data)["parts"]
-    texts = {place + i for place, size in zip(places, sizes, strict=True) for i in range(size)}
-    texts |= {at_of(data, "header", "kind"), at_of(data, "header", "bytes")}
-    numbers = np.array([i for i in range(at_of(data, "weights")) if i not in texts])
-    rest = np.arange(at_of(data, "weights"), len(words) - 1)
-    places = np.where(
-        rng.random((count, 2)) < 0.7, rng.choice(numbers, (count, 2)), rng.choice(rest, (count, 2))
-    )
-    places[: count // 2, 1] = places[: count // 2, 0]
-    kinds = rng.integers(0, 4, (count, 2))
-    options = (
-        words[places] + 1,
-        words[places] - 1,
-        rng.choice(EDGES, (count, 2)),
-        rng.integers(0, 2**32, (count, 2)),
-    )
-    values = np.choose(kinds, [np.asarray(x, np.uint64) & 0xFFFFFFFF for x in options])
-    return np.stack([places[:, 0], values[:, 0], places[:, 1], values[:, 1]], axis=1).astype(
-        np.uint32
-    )
+SEVERAL = pytest.param(("everything", "history", "battery"), 3000, marks=pytest.mark.slow)
 
 
-def fuzzed(data, count, folder, seed=0):
-    """Edits, and the errors of the loader under the sanitizers."""
-    (folder / "fuzz.c").write_text(FUZZ + """
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-/* Every length up to that of the header, and some beyond, in memory of exactly that length; the
- * checksum is right, and so is the length that the header states, every second time. */
-static int lengths(const int32_t *words, uint32_t bytes, uint32_t place) {
-  static qj_policy policy;
-  static qj_race race;
-  int accepted = 0;
-  for (uint32_t size = 4U; size < bytes; size += (size < 400U) ? 4U : 404U) {
-    for (uint32_t stated = 0U; stated < 2U; ++stated) {
-      int32_t *const cut = malloc(size);
-      memcpy(cut, words, size);
-      if ((stated != 0U) && (4U * place + 4U < size)) {
-        cut[place] = (int32_t)size;
-      }
-      cut[size / 4U - 1U] = (int32_t)crc32_of_words(cut, size / 4U - 1U);
-      accepted += qj_load(&policy, &race, cut, size) == QJ_OK;
-      free(cut);
-    }
-  }
-  return accepted;
-}
-int main(int argc, char **argv) {
-  static int32_t all[65536];
-  static uint32_t edits[4];
-  FILE *const file = fopen(argv[1], "rb");
-  FILE *const list = fopen(argv[2], "rb");
-  const uint32_t bytes = (uint32_t)fread(all, 1, sizeof(all), file);
-  int32_t *const words = malloc(bytes); /* no word more, so that a read beyond is seen */
-  memcpy(words, all, bytes);
-  if ((argc != 4) || (lengths(words, bytes, (uint32_t)atoi(argv[3])) != 0)) {
-    return 2;
-  }
-  while (fread(edits, sizeof(edits), 1, list) == 1) {
-    uint8_t error;
-    fuzz(words, bytes, edits, &error, 1);
-    putchar(error);
-  }
-  free(words);
-  return 0;
-}
-""")  # fmt: skip
-    edits = edits_of(data, count, seed)
-    (folder / "words.bin").write_bytes(data)
-    edits.tofile(folder / "edits.bin")
-    command = [need("gcc"), *SANITIZERS, f"-I{RUNTIME}", str(folder / "fuzz.c"), *map(str, FILES)]
-    subprocess.run([*command, "-o", str(folder / "fuzz")], check=True)
-    arguments = [str(folder / name) for name in ("fuzz", "words.bin", "edits.bin")]
-    arguments.append(str(at_of(data, "header", "bytes")))
-    done = subprocess.run(arguments, capture_output=True)
-    assert done.returncode == 0, done.stderr[:500]
-    return edits, np.frombuffer(done.stdout, np.uint8)
+@pytest.mark.parametrize(("kinds", "count"), [(("racing",), 1000), SEVERAL])
+def test_mutated_files_under_sanitizers(kinds, count, tmp_path):
+    need("gcc")
+    files, program = files_of(tmp_path, *kinds), mutate.build(tmp_path)
+    assert mutate.mutate(files, count, count // 10, 0, program) == []
 
 
-def changed_by(data, edit):
-    return edited(data, {int(edit[0]): np.uint32(edit[1]).view(np.int32),
-                         int(edit[2]): np.uint32(edit[3]).view(np.int32)})  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", ["racing", pytest.param("everything", marks=pytest.mark.slow)])
-def test_python_accepts_what_the_loader_accepts(kind, data, tmp_path):
-    words = data if kind == "racing" else everything()[1]
-    edits, errors = fuzzed(words, 1500, tmp_path)
-    accepted = np.flatnonzero(errors == 0)
-    refused = np.flatnonzero(errors)
-    assert len(accepted) > 3 and len(np.unique(errors)) > 5
-    for number in (*accepted[:60], *refused[:200]):
-        changed = changed_by(words, edits[number])
-        try:
-            unpack(changed)
-            fine = True
-        except InputError:
-            fine = False
-        assert fine == (errors[number] == 0), (edits[number], errors[number])
+@pytest.mark.slow
+def test_frama_c_has_no_alarm(tmp_path):
+    need("frama-c")
+    (path,) = files_of(tmp_path, "history")
+    words = path.read_bytes()
+    assert eva.analyze(words, tmp_path / "right")[:2] == (0, True)
+    start = at_of(words, "weights")
+    largest = {start + 4 * column: 2**31 - 1 for column in range(67)}
+    assert eva.analyze(edited(words, largest), tmp_path / "wrong")[0] > 0

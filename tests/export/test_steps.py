@@ -10,7 +10,7 @@ from quadjax.export.verify.build import VEHICLE, load_library
 from quadjax.export.verify.toolchain import host
 from quadjax.export.words import STATE_FIELDS, pack
 from tests.export.test_layouts import fixed
-from tests.export.test_runtime import FILES, at_of, edited
+from tests.export.test_runtime import FILES, at_of, edited, everything
 
 PROBE = """
 #include "qj_pilot.h"
@@ -66,7 +66,8 @@ class Pilot:
     def __init__(self, library, words, call_ns, gives=GIVEN):
         self._library, self._words = library, np.frombuffer(words, np.int32).copy()
         library.load.restype = ctypes.c_char_p
-        bits = sum(1 << (1 + STATE_FIELDS.index(name)) for name in gives)
+        fields = (*STATE_FIELDS, *[""] * (15 - len(STATE_FIELDS)), "sensors")
+        bits = sum(1 << (1 + fields.index(name)) for name in gives)
         pointer = self._words.ctypes.data_as(ctypes.c_void_p)
         self.wrong = library.load(pointer, len(words), bits, call_ns)
         self.state = np.zeros(1, VEHICLE)
@@ -145,6 +146,14 @@ def test_a_state_newer_than_the_call_is_used(library):
     assert pilot.numbers()["late_calls"] == 0
 
 
+def test_a_state_of_the_far_future_is_not_used(library):
+    pilot = Pilot(library, words_of(), 10_000_000)
+    pilot.call(1_000_000)
+    for ahead in (100_001, 2**30, 2**31 - 1):
+        assert pilot.call(1_010_000, 1_010_000 + ahead)[0] == HELD
+    assert pilot.call(1_020_000)[0] == FLYING  # the state of the future is not the newest one
+
+
 def test_stale_and_repeated_states_hold_then_stop(library):
     pilot = Pilot(library, words_of(), 10_000_000)
     assert pilot.call(1_000_000, 899_999)[0] == LOST  # no race yet, and the state is 100 ms old
@@ -171,6 +180,24 @@ def test_what_is_not_given_is_not_read(library):
         pilot.state[name] = np.nan
         np.testing.assert_array_equal(pilot.call(1_000_000)[1], expected)
         assert pilot.numbers()["nan_steps"] == 0 and not pilot.read("disturbance", 6).any()
+
+
+def test_estimators_count_calls_with_wrong_measurements(library):
+    given = (*GIVEN, "rpm", "sensors")
+    made, words = everything()
+    period = round(1e9 / made.estimator.sample_rate)
+    pilot = Pilot(library, words, period, given)
+    assert not pilot.wrong
+    pilot.state["specific_force"] = [0, 0, -9.81]
+    now, wrong = 0, 0
+    for name, value in (("gyro", 0.1), ("gyro", np.nan), ("gyro", 0.1), ("rpm", 1e9), ("rpm", 5e3)):
+        pilot.state[name] = value
+        now += period // 1000
+        assert pilot.call(now)[0] == FLYING
+        wrong += not abs(value) < 1e6
+        assert pilot.numbers()["estimator_calls"] == wrong
+        assert np.isfinite(pilot.read("disturbance", 6)).all()
+    assert pilot.read("disturbance", 6).any()
 
 
 def test_external_force_is_asked_for_as_the_moment(library):

@@ -86,7 +86,7 @@ static inline int64_t qj_clamp(int64_t value, int64_t low, int64_t high) {
 
 /* A number of two words, the low one first. */
 static inline int64_t qj_long(const int32_t *words) {
-  return (int64_t)((uint64_t)(uint32_t)words[1] << 32 | (uint32_t)words[0]);
+  return words[1] * (INT64_C(1) << 32) + (int64_t)(uint32_t)words[0];
 }
 
 static inline uint32_t qj_within(int64_t value, int64_t low, int64_t high) {

@@ -234,9 +234,9 @@ static uint32_t is_after(uint32_t time_us, uint32_t other_us) {
   return ((apart != 0U) && (apart < (UINT32_C(1) << 31))) ? 1U : 0U;
 }
 
-/* Whether a state may be used: neither stale, nor older than the one before. */
+/* Whether a state may be used: neither stale, nor as far ahead, nor older than the one before. */
 static uint32_t is_new(const qj_pilot *pilot, uint32_t now_us, const qj_vehicle *vehicle) {
-  if ((vehicle == 0) || (is_after(now_us, vehicle->time_us + QJ_STALE_US) != 0U)) {
+  if ((vehicle == 0) || (now_us - vehicle->time_us + QJ_STALE_US > 2U * QJ_STALE_US)) {
     return 0U;
   }
   return ((pilot->racing == 0U) || (is_after(vehicle->time_us, pilot->state_us) != 0U)) ? 1U : 0U;

@@ -9,7 +9,7 @@
 extern "C" {
 #endif
 
-#define QJ_STALE_US 100000U /* a state older than that is not used */
+#define QJ_STALE_US 100000U /* a state older than that, or as far ahead, is not used */
 #define QJ_HOLD_US 100000U  /* without a state, the last commands are held that long, then all are 0 */
 
 /* Bits of qj_interface.gives: sensors of the estimators, and the fields 1 << QJ_ROTOR_SPEED and so

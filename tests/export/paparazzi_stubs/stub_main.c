@@ -7,6 +7,11 @@
 #include "modules/quadjax/quadjax_module.h"
 #include "state.h"
 
+#ifdef QUADJAX_FREQUENCY
+#define STUB_FREQUENCY QUADJAX_FREQUENCY
+#else
+#define STUB_FREQUENCY 512U
+#endif
 struct ActuatorsBebop actuators_bebop;
 struct periodic_telemetry *DefaultPeriodic;
 static struct NedCoor_f position, velocity;
@@ -68,6 +73,10 @@ void float_rmat_vmult(struct FloatVect3 *out, struct FloatRMat *m, const struct 
   *out = body_velocity;
 }
 
+static int32_t fixed(float value) {
+  return (value > -1e6F && value < 1e6F) ? (int32_t)(value * 1024.0F) : 0;
+}
+
 int stub_start(void);
 int stub_step(const float *in, int flying, uint32_t calls, float *out);
 const float *stub_sent(void);
@@ -80,8 +89,8 @@ int stub_start(void) {
   return ((quadjax_module_wrong() != 0) ? 1 : 0) | (result.fails << 1);
 }
 
-/* Calls of the module with position, velocity, Euler angles, quaternion, rates and rpm or, in their
- * place, specific thrust. Bit 0: it flies; bit 1: the motors are on. */
+/* Calls of the module with position, velocity, Euler angles, quaternion, rates, rpm, specific force and
+ * body velocity. Bit 0: it flies; bit 1: the motors are on. */
 int stub_step(const float *in, int flying, uint32_t calls, float *out) {
   float command[4] = {0.0F, 0.0F, 0.0F, 0.0F};
   position = (struct NedCoor_f){in[0], in[1], in[2]};
@@ -89,13 +98,14 @@ int stub_step(const float *in, int flying, uint32_t calls, float *out) {
   euler = (struct FloatEulers){in[6], in[7], in[8]};
   quaternion = (struct FloatQuat){in[9], in[10], in[11], in[12]};
   rates = (struct FloatRates){in[13], in[14], in[15]};
-  acceleration.z = (int32_t)(-in[16] * 1024.0F);
+  acceleration = (struct Int32Vect3){fixed(in[20]), fixed(in[21]), fixed(in[22])};
+  body_velocity = (struct FloatVect3){in[23], in[24], in[25]};
   for (int i = 0; i < 4; ++i) {
     actuators_bebop.rpm_obs[i] = (uint16_t)((in[16 + i] > 0.0F && in[16 + i] < 65535.0F) ? in[16 + i] : 0.0F);
   }
   mode = flying ? AP_MODE_MODULE : 0;
   for (uint32_t i = 0U; i < calls; ++i) {
-    now_us += 1953U;
+    now_us += 1000000U / STUB_FREQUENCY;
     quadjax_module_periodic();
   }
   const bool flies = quadjax_module_command(command);

@@ -73,12 +73,13 @@ extern "C" int stub_start(int geometry)
 extern "C" unsigned stub_interval() { return QuadjaxPolicy::instance()->interval; }
 
 /* state: position, velocity, quaternion, rates, rotor speeds of PX4's motors; lost: bit 0 the
- * position, 1 the rotor speeds, 2 the attitude. */
+ * position, 1 the rotor speeds, 2 the attitude; 3: only the rates are new; 4: the rates are of the future. */
 extern "C" void stub_step(const float *state, int armed, unsigned lost, float *motors, int *ready)
 {
 	const hrt_abstime old = now - 10 * 1000000;
 	now += 10000;
-	const hrt_abstime seen = now;
+	static hrt_abstime seen;
+	seen = (lost & 8u) ? seen : now;
 	vehicle_local_position_s &p = message_vehicle_local_position;
 	p = vehicle_local_position_s{(lost & 1u) ? old : seen, seen, true, true, true, true, state[0],
 				     state[1], state[2], state[3], state[4], state[5]};
@@ -86,7 +87,7 @@ extern "C" void stub_step(const float *state, int armed, unsigned lost, float *m
 	message_vehicle_attitude.timestamp = (lost & 4u) ? old : seen;
 	memcpy(message_vehicle_attitude.q, state + 6, sizeof(float) * 4);
 	stub_orb_vehicle_attitude.generation++;
-	message_vehicle_angular_velocity.timestamp = seen;
+	message_vehicle_angular_velocity.timestamp = (lost & 16u) ? now + 200000 : now;
 	memcpy(message_vehicle_angular_velocity.xyz, state + 10, sizeof(float) * 3);
 	stub_orb_vehicle_angular_velocity.generation++;
 	message_esc_status.timestamp = (lost & 2u) ? old : seen;

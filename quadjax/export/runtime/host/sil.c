@@ -31,7 +31,9 @@ void sil_begin(void) {
 
 void sil_step(const sil_state *from, sil_command *to) {
   qj_vehicle vehicle;
-  vehicle.time_us = (uint32_t)(uint64_t)(from->header.time_s * 1e6 + 0.5);
+  const double time_s = from->header.time_s;
+  const uint32_t timed = (time_s >= 0.0) && (time_s < 1e12); /* a number that an integer holds */
+  vehicle.time_us = timed ? (uint32_t)(uint64_t)(time_s * 1e6 + 0.5) : pilot.state_us;
   copy(vehicle.position, from->position_ned_m, 3);
   copy(vehicle.velocity, from->velocity_ned_m_s, 3);
   copy(vehicle.euler, from->attitude_rpy_rad, 3);
@@ -48,7 +50,7 @@ void sil_step(const sil_state *from, sil_command *to) {
   copy(vehicle.gyro, from->gyro_frd_rad_s, 3);
   copy(vehicle.specific_force, from->specific_force_frd_m_s2, 3);
   copy(vehicle.body_velocity, from->velocity_frd_m_s, 3);
-  (void)qj_pilot_step(&pilot, vehicle.time_us, &vehicle, to->command);
+  (void)qj_pilot_step(&pilot, vehicle.time_us, timed ? &vehicle : 0, to->command);
   for (int i = 0; i < 4; ++i) {
     to->command[i] = (pilot.policy.kind == QJ_RPM) ? to->command[i] / RPM_PER_RAD_S : to->command[i];
   }

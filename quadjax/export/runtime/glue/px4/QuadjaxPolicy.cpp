@@ -126,6 +126,12 @@ bool QuadjaxPolicy::read_rotor_speeds(float speed[4]) const
 	return seen == 15u;
 }
 
+/* Whether a sample is older than kStale, or as far ahead. */
+bool QuadjaxPolicy::is_stale(hrt_abstime now, hrt_abstime sample)
+{
+	return now > sample + kStale || sample > now + kStale;
+}
+
 /* What keeps the policy from flying, or nullptr. */
 const char *QuadjaxPolicy::missing(hrt_abstime now) const
 {
@@ -135,21 +141,21 @@ const char *QuadjaxPolicy::missing(hrt_abstime now) const
 		return _refused;
 	}
 
-	if (now > _position.timestamp + kStale || !_position.xy_valid || !_position.z_valid
+	if (is_stale(now, _position.timestamp) || !_position.xy_valid || !_position.z_valid
 	    || !_position.v_xy_valid || !_position.v_z_valid) {
 		return "no local position";
 	}
 
-	if (now > _attitude.timestamp + kStale) {
+	if (is_stale(now, _attitude.timestamp)) {
 		return "no attitude";
 	}
 
-	if (now > _rates.timestamp + kStale) {
+	if (is_stale(now, _rates.timestamp)) {
 		return "no body rates";
 	}
 
 	if (qj_observes(&_pilot.policy, QJ_ROTOR_SPEED)
-	    && (now > _escs.timestamp + kStale || !read_rotor_speeds(speed))) {
+	    && (is_stale(now, _escs.timestamp) || !read_rotor_speeds(speed))) {
 		return "no rotor speeds";
 	}
 

@@ -62,6 +62,7 @@ private:
 	const char *read_geometry();
 	void update_topics();
 	bool read_rotor_speeds(float speed[4]) const;
+	static bool is_stale(hrt_abstime now, hrt_abstime sample);
 	const char *missing(hrt_abstime now) const;
 	void register_mode(hrt_abstime now);
 	void unregister_mode();
