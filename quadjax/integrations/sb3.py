@@ -106,15 +106,8 @@ def make_ppo(
 ) -> PPO:
     """Stable-Baselines3's PPO with the hyperparameters of a config, on a race.
 
-    Separate networks and state-independent Gaussian noise, as in ``quadjax.learners.ppo``.
-
-    Args:
-        environment: of the race.
-        params: its numbers.
-        learner: hyperparameters: ``quadjax.PPO(...)``, or the section ``learner`` of a config.
-        network: hidden layers of policy and value.
-        seed: of all random numbers.
-        device: PyTorch's.
+    Separate networks and state-independent Gaussian noise, as in ``quadjax.learners.ppo``. The
+    ``learner`` is ``quadjax.PPO(...)``, or the section ``learner`` of a config.
 
     Raises:
         InputError: hyperparameters of another algorithm.

@@ -161,16 +161,10 @@ def schedule_learner(
     """The learner with hyperparameters and environment parameters that follow schedules.
 
     ``init`` and ``update`` of the learner get the numbers of the first knots and of the update. Its
-    ``hyper`` then holds the schedules too: they are traced arguments.
-
-    Args:
-        learner: any learner; its ``hyper`` is a pytree of arrays.
-        schedules: by the key of a number.
-        numbers_at: ``(key, value) -> (hyperparameters, environment parameters)`` with the key set
-            to a value; None keeps its present value.
-        plan: of the run.
-        steps: requested environment steps of the run, to which fractions refer.
-        curriculum: how the level changes, where a schedule follows it.
+    ``hyper`` then holds the schedules too: they are traced arguments. ``numbers_at(key, value)``
+    gives hyperparameters and environment parameters with another value of a key; None keeps its
+    present one. Fractions of schedules refer to ``steps``, the requested environment steps of the
+    run.
 
     Raises:
         InputError: a schedule without effect, of a key that is not a number, or of a number that

@@ -54,12 +54,8 @@ def from_flight(
 ) -> list[Trajectory]:
     """Guesses from a recorded flight from hover.
 
-    Args:
-        problem: the flight to be optimized.
-        columns: the arrays (steps, n) of ``SIMULATED``: m, m/s, rad, rad/s, the actuators' state,
-            and the commands, each held for a time step.
-        time_step: s.
-        intervals: of a leg.
+    ``columns`` are the arrays (steps, n) of ``SIMULATED``: m, m/s, rad, rad/s, the actuators'
+    state, and the commands, each held for a time step, s.
 
     Returns:
         For a periodic problem one guess for each whole lap but the first, the fastest first; for a

@@ -169,15 +169,10 @@ def score(
     gates: int,
     last: int | None = None,
 ) -> LapState:
-    """One drone's race after a step: its laps, whether it is over, and why.
+    """One drone's race after a step of ``dt`` () s: its laps, whether it is over, and why.
 
-    Args:
-        race: before the step; one that is over does not change.
-        following: the state after it.
-        outcome: events of the step.
-        dt: () duration of a step, s.
-        gates: of the track.
-        last: number of gates after which the race ends within a lap; None: with a lap.
+    A race that is over does not change. ``following`` is the state after the step. It ends within a
+    lap after the ``last`` gate, or with a lap of ``gates``.
     """
     passed = following.gates_passed
     lap, complete = (passed - 1) // gates, passed % gates == 0
@@ -282,21 +277,13 @@ def fly_laps(
 ) -> tuple[Laps, Trace | None]:
     """Fly a timed race by the exact rules, without gate inflation and training limits.
 
-    Args:
-        choices: static settings of the race.
-        params: its numbers.
-        actor: ``(policy, observation (k,), noise (a,)) -> action (a,)`` of one drone, with
-            ``a`` the vehicle model's ``action_size``; static.
-        policy: the first argument of the actor, a pytree.
-        key: PRNG key of starts and noise.
-        laps: number of laps.
-        runs: number of independent drones.
-        from_hover: from hover at the last gate, else from the training's random starts.
-        trace: whether to record states and commands.
-        gates: number of gates of the race in place of ``laps``; the last lap may be a part of one.
+    The static ``actor(policy, observation (k,), noise (a,)) -> action (a,)`` is of one drone, with
+    ``a`` the vehicle model's ``action_size``; ``policy`` is a pytree. Starts are hover at the last
+    gate, or the training's random ones. A number of ``gates`` takes the place of ``laps``; the last
+    lap may then be a part of one.
 
     Returns:
-        The result, and the trace if ``trace`` is true.
+        The result, and the recorded states and commands if ``trace`` is true.
     """
     length, last = race_length(params.track, laps, gates), last_gate(params.track, gates)
     params = environment.exact_rules(choices.model, params)

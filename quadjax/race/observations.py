@@ -293,13 +293,10 @@ def make_layout(
     extra: Sequence[Field] = (),
     battery: bool = False,
 ) -> Layout:
-    """The observation of a vehicle model in the race.
+    """The observation of a vehicle model in the race; by default that of the publication.
 
-    Args:
-        model: its actuators are one field; a model without external disturbances observes none.
-        observed: the section of the config; by default that of the publication.
-        extra: the objects that ``observed.extra`` names, loaded; at the end.
-        battery: whether the race has a battery, whose limit is observed.
+    ``extra`` are the objects that ``observed.extra`` names, loaded; they are at the end. The limit
+    of a ``battery`` is observed where there is one.
 
     Raises:
         InputError: two fields of one name.

@@ -56,14 +56,10 @@ def estimator_params(
     cutoff: Scalar = DEFAULT_CUTOFF,
     explicit_euler: bool = False,
 ) -> EstimatorParams:
-    """The estimator of one vehicle at a fixed sample rate.
+    """The estimator of one vehicle at a fixed sample rate, Hz; both rates may be traced.
 
-    Args:
-        model: with ``can_be_disturbed``.
-        vehicle: constants, and residual if any, of the model that is subtracted.
-        sample_rate: Hz, constant; may be traced.
-        cutoff: -3 dB frequency of the low-pass, Hz; may be traced.
-        explicit_euler: the samples are the steps of an explicit Euler simulation.
+    ``vehicle`` is the model that is subtracted, ``cutoff`` the -3 dB frequency of the low-pass, Hz.
+    With ``explicit_euler`` the samples are the steps of an explicit Euler simulation.
 
     Raises:
         InputError: a cutoff that is not between zero and half the sample rate (where both are

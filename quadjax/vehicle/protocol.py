@@ -220,11 +220,8 @@ class VehicleModel:
     ) -> State:
         """The start of an episode, without external disturbances.
 
-        Args:
-            c: the constants.
-            motion: of the body.
-            numbers: (at least ``actuators.size``,) uniform in [-1, 1].
-            thrust: the config's lowest and highest start thrust, m/s^2.
+        Of numbers (at least ``actuators.size``,), uniform in [-1, 1], and of the config's lowest
+        and highest start thrust, m/s^2.
         """
         return self._at(motion, self.start_actuators(c, numbers, thrust))
 
