@@ -380,7 +380,6 @@ def _warnings(
                 f"{log.name}: row {log.cut_row} is left out: no line break ends it, so it may be "
                 "cut"
             )
-    for log in logs:
         if log.unchecked:
             yield (
                 f"{log.name}: not checked for lack of motion or of columns to compare with: "

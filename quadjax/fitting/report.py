@@ -18,7 +18,7 @@ from quadjax.fitting.axes import Prediction, pooled
 from quadjax.fitting.fit import Fit
 from quadjax.fitting.nominal import AXES, EQUATIONS
 from quadjax.fitting.regression import Estimate, r_squared
-from quadjax.fitting.samples import ALL, LeftOut
+from quadjax.fitting.samples import ALL
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.residual import write_residual
 from quadjax.vehicle.vehicle_file import write_vehicle
@@ -91,7 +91,9 @@ def as_json(result: Fit) -> dict[str, object]:
         "held_out_pooled": _prediction_json(result, pooled(result.held_out)),
         "not_checked": {log.name: list(log.unchecked) for log in result.logs},
         "choices": {
-            _name(result, left_out): {axis: vars(choice) for axis, choice in fit.choices.items()}
+            result.split.names[min(left_out)] if left_out else "final": {
+                axis: vars(choice) for axis, choice in fit.choices.items()
+            }
             for left_out, fit in result.residuals.items()
         },
     }
@@ -109,10 +111,6 @@ def text_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]])
     with console.capture() as captured:
         console.print(table)
     return "\n".join([title, *(line.rstrip() for line in captured.get().splitlines())])
-
-
-def _name(result: Fit, left_out: LeftOut) -> str:
-    return result.split.names[min(left_out)] if left_out else "final"
 
 
 def _prediction_json(result: Fit, part: Prediction) -> dict[str, dict[str, float]]:
