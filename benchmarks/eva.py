@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from quadjax.export.read import read_words
 from quadjax.export.render import sizes_header
 from quadjax.export.targets import RUNTIME
-from quadjax.export.words import read_words
 
 HERE = Path(__file__).parent
 EVA = "-machdep gcc_x86_32 -eva -eva-slevel 0 -warn-special-float none -eva-msg-key=-final-states"
@@ -43,7 +43,7 @@ def analyze(words: bytes, folder: Path, whole: bool = False) -> tuple[int, bool,
     numbers = ", ".join(
         str(x) if x > -(2**31) else "(-2147483647 - 1)" for x in np.frombuffer(words, "<i4")
     )
-    start = next(f.start for f in policy.race.fields if f.name == "position")
+    start = policy.race.starts["position"]
     values = {"HISTORY": policy.race.history, "POSITION": start, "MEMORY": MEMORY}
     values |= {"ESTIMATOR": int(policy.estimator is not None), "WHOLE_LOADER": int(whole)}
     lines = "".join(f"#define {name} {value}\n" for name, value in values.items())

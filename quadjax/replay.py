@@ -21,11 +21,11 @@ from quadjax.core.vectors import Rotors
 from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.table import Table
 from quadjax.export import emulator
-from quadjax.export.fixed import convert
-from quadjax.export.flights import observe
+from quadjax.export.network import convert
 from quadjax.export.proof import prove
 from quadjax.export.race_source import OwnRace
-from quadjax.export.race_tables import LAST_COMMAND, drone_of, example_state, state_sizes
+from quadjax.export.race_tables import LAST_COMMAND, state_sizes
+from quadjax.export.states import drone_of, example_state, observe
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.fitting.signals import derivative, low_pass
 from quadjax.flights.flight import MOTION, Flight

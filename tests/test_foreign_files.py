@@ -10,8 +10,8 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_json
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation import curves, seeds
+from quadjax.export import folder as exported
 from quadjax.export.conversion import Options, sha256
-from quadjax.export.verify import folder as exported
 from quadjax.fitting.config import LogsConfig, load_fit_config
 from quadjax.policy.file import Policy
 from quadjax.training.folder import check_same

@@ -23,9 +23,8 @@ from quadjax.evaluation.evaluate import Evaluation, joined, tabulate
 from quadjax.evaluation.evaluate import evaluate as fly
 from quadjax.evaluation.report import FILES as REPORT_FILES
 from quadjax.evaluation.report import write_report
-from quadjax.export.actor import fixed_point_fly
-from quadjax.export.race_tables import track_ranges
-from quadjax.export.ranges import parse_overrides
+from quadjax.export.emulator import fixed_point_fly
+from quadjax.export.ranges import parse_overrides, track_ranges
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import fit_race
 from quadjax.policy.race import policy_path, race_of_policy

@@ -47,8 +47,8 @@ def export(
             the preset that it names).
         sample_rate: Of the estimators, Hz (default: 512).
         cutoff: Of the disturbance estimator's low-pass, Hz (default: 8).
-        overwrite: Write to a folder that no export made, and replace its files of the same
-            names.
+        overwrite: Replace an earlier export; write to a folder that no export made, and
+            replace its files of the same names.
     """
     result = export_c(
         policy,

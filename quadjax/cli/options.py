@@ -91,6 +91,12 @@ def _policy_file(_: object, tokens: Sequence[Token]) -> Path:
     return find_policy(tokens[0].value)
 
 
+def _folder(_: object, tokens: Sequence[Token]) -> Path:
+    if not tokens[0].value:
+        raise ValueError("'', allowed: the name of a folder")
+    return Path(tokens[0].value)
+
+
 def config_of(folder: str) -> Parameter:
     """The parameter of a config in a folder of ``configs/``, whose help lists the names."""
     names = ", ".join(preset_names(folder))
@@ -126,8 +132,8 @@ PolicyFile = Annotated[Path, Parameter(converter=_policy_file, metavar="FILE.npz
 PlantConfig = Annotated[str, config_of("plant"), Parameter(metavar="CONFIG")]
 FitConfig = Annotated[str, config_of("fit"), Parameter(metavar="FIT.yaml")]
 Race = Annotated[str | None, Parameter(metavar="CONFIG")]
-Folder = Annotated[Path, Parameter(metavar="DIR")]
-RunsFolder = Annotated[Path, Parameter(metavar="DIR", help="Write to DIR/NAME.")]
+Folder = Annotated[Path, Parameter(converter=_folder, metavar="DIR")]
+RunsFolder = Annotated[Path, Parameter(converter=_folder, metavar="DIR", help="Write to DIR/NAME.")]
 InputFile = Annotated[Path, Parameter(metavar="FILE")]
 Seed = Annotated[int, Parameter(converter=whole(0, MAX_SEED))]
 Seeds = Annotated[tuple[int, ...], several(whole(0, MAX_SEED)), Parameter(metavar="N ...")]

@@ -10,8 +10,10 @@ from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
 from quadjax.cli.view import view as show
 from quadjax.core.errors import INTERRUPTED, InputError
-from quadjax.core.folders import results
+from quadjax.core.folders import kind_of, results
 from quadjax.core.interruptions import interruptions
+from quadjax.core.resources import policy_names
+from quadjax.export.convert import KIND
 from quadjax.plant.config import load_plant_config
 from quadjax.sil.faults import WRONG_UNITS, Faults, parse_nan
 from quadjax.sil.fly import INTERRUPTED as STOPPED
@@ -76,7 +78,7 @@ def sil(
     Example: quadjax sil out/ --late 0.2 --delay 20
 
     Args:
-        source: Folder of quadjax export; with --listen also a config.
+        source: Folder of quadjax export, or NAME.qjp in it; with --listen also a config.
         listen: Wait there for your own autopilot, at most 120 s.
         race: Config of the race, if that of DIR names your own code (config.yaml of DIR).
         simulator: Fly in the simulator of the training.
@@ -95,9 +97,7 @@ def sil(
             rotor_speed=rpm; may be repeated.
         view: Show the flight in the browser.
     """
-    if listen is None and not source.is_dir():
-        hint = "an autopilot of your own needs --listen HOST:PORT"
-        raise InputError(f"{source}: no such folder of quadjax export; {hint}")
+    source = source if listen else _folder_of(source)
     opt.exclude("plant", "simulator")
     if not source.is_dir():
         opt.refuse(f"with {source}, which is a race itself", "race")
@@ -129,3 +129,22 @@ def sil(
     if view and len(last.flight.time):
         show(str(folder / STATES_FILE), output=folder / "flight.html", open_=True)
     return INTERRUPTED if last.flight.crash == STOPPED else 0
+
+
+def _folder_of(source: Path) -> Path:
+    """The folder of an export, from itself or from the words in it.
+
+    Raises:
+        InputError: there is none; with what to run instead.
+    """
+    if source.is_dir():
+        return source
+    if source.suffix == ".qjp" and source.is_file():
+        if kind_of(source.parent) == KIND:
+            return source.parent
+        raise InputError(f"{source}: it names no race; give the folder that quadjax export made")
+    if source.suffix == ".npz" or source.name in policy_names():
+        export = f"quadjax export {source} --output c && quadjax sil c"
+        raise InputError(f"{source}: a policy, expected the folder of its C: {export}")
+    hint = "an autopilot of your own needs --listen HOST:PORT"
+    raise InputError(f"{source}: no such folder of quadjax export; {hint}")

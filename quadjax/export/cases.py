@@ -7,15 +7,14 @@ import dataclasses
 
 import numpy as np
 
-from quadjax.export import battery_emulator, emulator, estimator_emulator, race_emulator
-from quadjax.export.battery_tables import MOTORS, BatteryTables
-from quadjax.export.estimator_tables import CHANNELS, EstimatorTables
-from quadjax.export.fixed import FixedLayer, FixedNetwork
-from quadjax.export.integers import DIGEST_START, ONE, WORD, digest, quantize
+from quadjax.export import emulator
+from quadjax.export.battery import MOTORS, BatteryTables
+from quadjax.export.disturbances import CHANNELS, EstimatorTables
+from quadjax.export.estimator_emulator import Battery, estimate
+from quadjax.export.integers import DIGEST_START, ONE, digest, quantize, word_digest
+from quadjax.export.network import FixedNetwork
 from quadjax.export.race_tables import RaceTables
 
-BLOCK = 4  # rows of a block
-TURN = 8  # columns, and rows of a hidden layer, are padded to a multiple of this
 CORNERS, SIMULATED, RANDOM = 8, 16, 8
 RANDOM_STATES, SIMULATED_STATES = 6, 10
 HISTORY_ROUNDS = 6  # of the states, of which a digest is compared where there is a history
@@ -23,48 +22,25 @@ MEASUREMENTS, SAMPLES = 16, 64  # of an estimator: the measurements are repeated
 
 
 @dataclasses.dataclass(frozen=True)
-class PaddedLayer:
-    """A layer as the C has it: rows and columns padded with zeros."""
-
-    weights: np.ndarray  # (padded rows * padded columns,) int32, in blocks
-    bias: np.ndarray  # (padded rows,) int64
-
-
-@dataclasses.dataclass(frozen=True)
 class Cases:
-    """Self-tests of a policy; those of an estimator that it lacks are empty."""
+    """Self-tests of a policy, of 32-bit words (rows, columns); without an estimator no rows of it.
+
+    Commands and traces follow from the inputs, what is observed and its status from states and
+    target gates, estimates from repeated measurements, digests from repeated samples.
+    """
 
     inputs: np.ndarray  # (n, inputs) int32, of the network
     commands: np.ndarray  # (n, outputs) int32
-    traces: np.ndarray  # (n,) uint32, digest of every accumulator
-    states: np.ndarray  # (m, state_size) uint32, the bits
-    targets: np.ndarray  # (m,)
+    traces: np.ndarray  # (n, 1) digest of every accumulator
+    states: np.ndarray  # (m, state_size) the bits
+    targets: np.ndarray  # (m, 1)
     observed: np.ndarray  # (m, inputs) int32
-    status: np.ndarray  # (m, 3) uint32: clipped, nan, outside
+    status: np.ndarray  # (m, 3) clipped, nan, outside
+    measurements: np.ndarray  # (MEASUREMENTS, 13) the bits
+    estimates: np.ndarray  # (SAMPLES, 6) the bits of moment and force after each
+    samples: np.ndarray  # (MEASUREMENTS, 8) the bits
+    digests: np.ndarray  # (SAMPLES, 1) of the battery's memory after each
     history_digest: int  # of the inputs in further rounds of the states, with a history
-    measurements: np.ndarray  # (MEASUREMENTS, 13) uint32, the bits
-    estimates: np.ndarray  # (SAMPLES, 6) uint32, the bits of moment and force after each
-    samples: np.ndarray  # (MEASUREMENTS, 8) uint32, the bits
-    digests: np.ndarray  # (SAMPLES,) uint32, of the memory after each
-
-
-def pad(layer: FixedLayer, shift: int, multiple: int) -> PaddedLayer:
-    """The layer's tables in the kernels' order; padded rows hold only the rounding half."""
-    rows, columns = layer.weights.shape
-    padded_rows, padded_columns = -(-rows // multiple) * multiple, -(-columns // TURN) * TURN
-    weights = np.zeros((padded_rows, padded_columns), np.int64)
-    weights[:rows, :columns] = layer.weights
-    bias = np.full(padded_rows, 2 ** (shift - 1) if shift else 0, np.int64)
-    bias[:rows] = layer.bias
-    blocks = weights.reshape(-1, BLOCK, padded_columns).transpose(0, 2, 1)
-    return PaddedLayer(blocks.ravel(), bias)
-
-
-def padded_layers(
-    hidden: tuple[FixedLayer, ...], output: FixedLayer, shift: int
-) -> list[PaddedLayer]:
-    """All layers of a network, padded; ``shift`` is that of the output."""
-    return [*(pad(layer, WORD, TURN) for layer in hidden), pad(output, shift, BLOCK)]
 
 
 def make_cases(
@@ -87,55 +63,56 @@ def make_cases(
         states: (n, state_size) simulated states.
         targets: (n,) the target gate of each.
     """
-    inputs = self_test_inputs(network, observations)
-    commands, trace = emulator.forward_traced(network, inputs)
     rng = np.random.default_rng(0)
     ranges = np.ldexp(1.0, np.asarray(race.exponents))
     random = rng.uniform(-0.5, 0.5, (RANDOM_STATES, len(ranges))) * ranges
     random = random.astype(np.float32)
     random[0] *= np.float32(10.0)
     random[1, :] = np.nan
-    goals = rng.integers(0, race.gates, RANDOM_STATES)
+    gates = rng.integers(0, race.gates, RANDOM_STATES)
     pick = np.linspace(0, len(states) - 1, SIMULATED_STATES if len(states) else 0).astype(int)
     states = states if len(states) else random[:0]
-    chosen = np.concatenate([random, states[pick].astype(np.float32)])
-    goals = np.concatenate([goals, np.ravel(targets)[pick]]).astype(int)
-    measured, moved = _measurements(estimator), _samples(battery)
-    observed, status, rounds = observe_cases(race, chosen, goals)
-    return Cases(
-        *(inputs, commands, emulator.trace_digest(trace)),
-        *(np.ascontiguousarray(chosen).view(np.uint32), goals, observed, status, rounds),
-        *(measured.view(np.uint32), estimates_of(estimator, measured)),
-        *(moved.view(np.uint32), digests_of(battery, moved)),
+    return answered(
+        *(network, race, estimator, battery, _inputs(network, observations)),
+        np.concatenate([random, states[pick].astype(np.float32)]),
+        np.concatenate([gates, np.ravel(targets)[pick]]).astype(int),
+        *(_measurements(estimator), _samples(battery)),
     )
 
 
-def observe_cases(
-    race: RaceTables, states: np.ndarray, targets: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Inputs and status (n, 3) of states one after the other, and the digest of further rounds."""
+def answered(
+    network: FixedNetwork,
+    race: RaceTables,
+    estimator: EstimatorTables | None,
+    battery: BatteryTables | None,
+    inputs: np.ndarray,
+    states: np.ndarray,
+    targets: np.ndarray,
+    measurements: np.ndarray,
+    samples: np.ndarray,
+) -> Cases:
+    """The cases of inputs int32, states float32 and targets, and of the estimators' samples."""
+    rows = emulator.forward_rows(network, inputs)
     count, rounds = len(states), HISTORY_ROUNDS if race.history else 0
-    goals = np.where((targets >= 0) & (targets < race.gates), targets, 0)
-    found = race_emulator.observe(
-        race, np.tile(states, (1 + rounds, 1)), np.tile(goals, 1 + rounds)
-    )
-    status = np.stack([found.clipped, found.nan, found.outside], axis=1)[:count]
-    rest = found.q[count:].astype(np.int64).reshape(1, -1) & 0xFFFFFFFF
-    return found.q[:count], status, int(digest(rest)[0]) if rounds else DIGEST_START
-
-
-def passes(cases: Cases, network: FixedNetwork, race: RaceTables) -> bool:
-    """Whether the emulators give the integers of the cases of the network and the observation."""
-    commands, trace = emulator.forward_traced(network, cases.inputs)
-    states = np.ascontiguousarray(cases.states).view(np.float32)
-    observed, status, rounds = observe_cases(race, states, cases.targets)
-    return (
-        np.array_equal(commands, cases.commands)
-        and np.array_equal(emulator.trace_digest(trace), cases.traces)
-        and np.array_equal(observed, cases.observed)
-        and np.array_equal(status, cases.status)
-        and rounds == cases.history_digest
-    )
+    gates = np.where((targets >= 0) & (targets < race.gates), targets, 0)
+    tiled = np.tile(states, (1 + rounds, 1)), np.tile(gates, 1 + rounds)
+    observed, status = emulator.observe(race, *tiled)
+    rest = observed[count:].astype(np.int64).reshape(1, -1) & 0xFFFFFFFF
+    arrays = {
+        "inputs": inputs,
+        "commands": rows[:, :-1],
+        "traces": rows[:, -1:],
+        "states": states,
+        "targets": targets[:, None].astype(np.uint32),
+        "observed": observed[:count],
+        "status": status[:count],
+        "measurements": measurements,
+        "estimates": _estimates(estimator, measurements),
+        "samples": samples,
+        "digests": _digests(battery, samples),
+    }
+    words = {name: np.ascontiguousarray(x).view(np.uint32) for name, x in arrays.items()}
+    return Cases(**words, history_digest=int(word_digest(rest)[0]) if rounds else DIGEST_START)
 
 
 def _measurements(tables: EstimatorTables | None) -> np.ndarray:
@@ -150,15 +127,11 @@ def _measurements(tables: EstimatorTables | None) -> np.ndarray:
     return rows.astype(np.float32)
 
 
-def estimates_of(tables: EstimatorTables | None, measured: np.ndarray) -> np.ndarray:
-    """The bits (SAMPLES, 6) uint32 of the estimates along repeated measurements."""
+def _estimates(tables: EstimatorTables | None, measured: np.ndarray) -> np.ndarray:
+    """The estimates (SAMPLES, 6) float32 along repeated measurements."""
     if tables is None:
-        return np.zeros((0, len(CHANNELS)), np.uint32)
-    memory, found = estimator_emulator.start(tables, measured[:1]), []
-    for sample in range(SAMPLES):
-        fine = estimator_emulator.update(tables, memory, measured[sample % MEASUREMENTS][None])
-        found.append(estimator_emulator.outputs(tables, fine)[0])
-    return np.stack(found).view(np.uint32)
+        return np.zeros((0, len(CHANNELS)), np.float32)
+    return estimate(tables, measured[np.arange(SAMPLES) % MEASUREMENTS])
 
 
 def _samples(tables: BatteryTables | None) -> np.ndarray:
@@ -174,21 +147,21 @@ def _samples(tables: BatteryTables | None) -> np.ndarray:
     return rows.astype(np.float32)
 
 
-def digests_of(tables: BatteryTables | None, samples: np.ndarray) -> np.ndarray:
-    """Digests (SAMPLES,) uint32 of the estimator's memory after each of repeated samples."""
+def _digests(tables: BatteryTables | None, samples: np.ndarray) -> np.ndarray:
+    """Digests (SAMPLES, 1) uint32 of the estimator's memory after each of repeated samples."""
     if tables is None:
-        return np.zeros(0, np.uint32)
-    memory, digests = battery_emulator.start(tables, samples[:1]), []
+        return np.zeros((0, 1), np.uint32)
+    battery, digests = Battery(tables, samples[:1]), []
     for number in range(SAMPLES):
         if number and number % (MEASUREMENTS // 2) == 0:  # to both limits of the estimate
-            memory.highest[:] = tables.highest if number % MEASUREMENTS else tables.lowest
+            battery.highest[:] = tables.highest if number % MEASUREMENTS else tables.lowest
         if number:
-            battery_emulator.update(tables, memory, samples[number % MEASUREMENTS][None])
-        digests.append(digest(memory.words)[0])
+            battery.update(samples[number % MEASUREMENTS][None])
+        digests.append(digest(battery.memory))
     return np.array(digests, np.uint32)
 
 
-def self_test_inputs(network: FixedNetwork, observations: np.ndarray | None) -> np.ndarray:
+def _inputs(network: FixedNetwork, observations: np.ndarray | None) -> np.ndarray:
     """Inputs (n, inputs) int32: corners of the box, simulated ``observations``, random ones."""
     rng = np.random.default_rng(0)
     signs = rng.choice([-1, 1], (CORNERS, network.inputs))
@@ -246,3 +219,10 @@ def hostile_vectors(network: FixedNetwork) -> np.ndarray:
         rows = slice(position * len(bits), (position + 1) * len(bits))
         vectors.view(np.uint32)[rows, position] = bits
     return np.concatenate([vectors, np.tile(specials[:, None], (1, network.inputs))])
+
+
+def uniform_samples(network: FixedNetwork, count: int, seed: int) -> np.ndarray:
+    """Observations (count, inputs) float32, uniform in the declared ranges."""
+    rng = np.random.default_rng(seed)
+    shape = (count, network.inputs)
+    return (rng.uniform(-1.0, 1.0, shape) * network.box.ranges).astype(np.float32)

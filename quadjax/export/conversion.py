@@ -1,30 +1,29 @@
-"""From a policy and its race to integers, their proof and the files of an export."""
+"""From a policy and its race to integers, their proof, the files of an export and its report."""
 
 import dataclasses
 import functools
 import hashlib
-import itertools
 import re
 import textwrap
 from pathlib import Path
 
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.core import mlp
 from quadjax.core.errors import InputError
-from quadjax.export import flights
-from quadjax.export.battery_tables import make_battery
-from quadjax.export.cases import make_cases
-from quadjax.export.estimator_tables import CUTOFF, SAMPLE_RATE, make_estimator
-from quadjax.export.fixed import FixedNetwork, convert
+from quadjax.export import emulator, flights
+from quadjax.export.battery import make_battery, update_error
+from quadjax.export.cases import Cases, make_cases, uniform_samples
+from quadjax.export.disturbances import CUTOFF, SAMPLE_RATE, make_estimator
 from quadjax.export.flights import Rollouts
+from quadjax.export.integers import WORD, enable_x64
+from quadjax.export.network import convert
 from quadjax.export.proof import Proof, prove
 from quadjax.export.race_source import OwnRace
-from quadjax.export.race_tables import RaceTables, make_tables, track_ranges
-from quadjax.export.render import (
-    LONGEST_NAME,
-    glue_header,
-    identifier,
-    policy_header,
-    sizes_header,
-)
+from quadjax.export.race_tables import make_tables
+from quadjax.export.ranges import track_ranges
+from quadjax.export.render import glue_header, identifier, policy_header, sizes_header
 from quadjax.export.targets import (
     DEFAULT_TARGET,
     RUNTIME,
@@ -34,19 +33,24 @@ from quadjax.export.targets import (
     runtime_files,
     target_of,
 )
-from quadjax.export.words import VERSION, FixedPolicy, pack
+from quadjax.export.words import NAME_BYTES, VERSION, FixedPolicy, pack
 from quadjax.policy.file import Policy
 from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM
 from quadjax.vehicle.battery import middle_limit
 
 COMMENT_WIDTH = 94
+LONGEST_NAME = NAME_BYTES - 1
+BOX_SAMPLES = 20_000
+RESERVED = re.compile(r"(qj|quadjax|neural_network|nn_controller|controller_quadjax)(_|$)")
+
+Json = dict[str, object]
 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
     """Options of an export; see ``convert.export_c``. The report keeps them."""
 
-    name: str  # prefix of every C symbol
+    name: str  # of the files and of the table in C
     ranges: dict[str, float] = dataclasses.field(default_factory=dict)
     sample_rate: float = SAMPLE_RATE
     cutoff: float = CUTOFF
@@ -60,32 +64,17 @@ class Converted:
     """A policy and its race as integers: everything that the files are made from."""
 
     policy: Policy
+    file: str  # name of the policy file
     fixed: FixedPolicy
     proof: Proof
-    rollouts: Rollouts  # evenly spread rows of the simulated flights
+    rollouts: Rollouts | None  # of the policy's own race; None where its cases were given
     own: OwnRace
-    facts: tuple[str, ...]  # lines about where the policy comes from
     options: Options
 
     @property
     def target(self) -> Target:
         """Processor and autopilot."""
         return target_of(self.options.target, self.policy.vehicle)
-
-    @property
-    def network(self) -> FixedNetwork:
-        """The network as integers."""
-        return self.fixed.network
-
-    @property
-    def race(self) -> RaceTables:
-        """Observation and track as integers."""
-        return self.fixed.race
-
-    @property
-    def name(self) -> str:
-        """Name of the files."""
-        return self.options.name
 
     @functools.cached_property
     def words(self) -> bytes:
@@ -94,76 +83,38 @@ class Converted:
 
     def files(self) -> dict[str, bytes]:
         """Every emitted file of the policy and its C, by its path in the folder."""
-        target, header = self.target, policy_header(self.fixed, self.words, self.facts)
-        texts = runtime_files(target)
+        target, texts = self.target, {}
         if target.as_file:
-            texts[f"{target.folder}/qj_sizes.h"] = (RUNTIME / "qj_sizes.h").read_text("utf-8")
+            texts["qj_sizes.h"] = (RUNTIME / "qj_sizes.h").read_text("utf-8")
         else:
-            texts[f"{target.folder}/qj_sizes.h"] = sizes_header(self.fixed)
-            texts[f"{target.folder}/{self.name}.h"] = header
+            texts["qj_sizes.h"] = sizes_header(self.fixed)
+            texts[f"{self.options.name}.h"] = policy_header(self.fixed, self.words, self._facts())
         if target.glue and not target.as_file:
-            texts[f"{target.folder}/quadjax_policy.h"] = glue_header(self.fixed, self.own)
-        return {name: text.encode() for name, text in texts.items()} | {
-            f"{self.name}.qjp": self.words
-        }
+            texts["quadjax_policy.h"] = glue_header(self.fixed, self.own)
+        placed = {f"{target.folder}/{name}": text for name, text in texts.items()}
+        every = runtime_files(target) | placed
+        words = {f"{self.options.name}.qjp": self.words}
+        return {name: text.encode() for name, text in every.items()} | words
+
+    def _facts(self) -> list[str]:
+        """Lines about where the policy comes from."""
+        stated = self.policy.source.items()
+        source = ", ".join(
+            f"{key}={value}" for key, value in stated if not isinstance(value, dict | None)
+        )
+        facts = (
+            f"Policy   {self.file}, SHA-256 {self.fixed.policy_hash}",
+            f"Source   {source or 'not stated in the policy file'}",
+            f"Format   words of version {VERSION}; deterministic (mean) actions",
+            f"Track    {self.own.track}; vehicle {self.own.vehicle}",
+        )
+        lines = (textwrap.wrap(fact, COMMENT_WIDTH, subsequent_indent=" " * 9) for fact in facts)
+        return sum(lines, [])
 
 
 def sha256(path: Path) -> str:
     """The SHA-256 of a file, in hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def convert_policy(
-    policy: Policy,
-    own: OwnRace,
-    options: Options,
-    file: str,
-    path: Path,
-    rollouts: Rollouts | None = None,
-) -> Converted:
-    """Convert and prove a policy, and simulate its own race.
-
-    Args:
-        policy: the policy.
-        own: its race.
-        options: of the export.
-        file: name of the policy file, for the headers.
-        path: of the policy file.
-        rollouts: those of an earlier conversion, which is then repeated without simulating.
-
-    Raises:
-        InputError: see ``convert.export_c``.
-    """
-    network = convert(policy, track_ranges(policy.layout, own.params.track) | options.ranges)
-    proof = prove(network, policy)
-    race = make_tables(network.box, policy, own.choices, own.params)
-    check_target(target_of(options.target, policy.vehicle), network, race)
-    if rollouts is None:
-        rollouts = flights.simulate(own)
-        if not options.allow_unfinished:
-            flights.check_finished(rollouts.laps, own, file)
-        network.box.check(rollouts.observations)
-        rollouts = rollouts.thinned()
-    vehicle, observed = own.params.vehicle, observed_fields(race)
-    estimator = battery = None
-    if observed & set(DISTURBANCES) and network.model.name == "motor":
-        numbers = (options.sample_rate, options.cutoff)
-        estimator = make_estimator(vehicle.constants, vehicle.residual, *numbers)
-    if HIGHEST_RPM in observed:
-        assert own.params.battery is not None
-        first = float(middle_limit(own.params.battery))
-        battery = make_battery(vehicle.constants, first, options.sample_rate)
-    tables = (network, race, estimator, battery)
-    rows = (rollouts.observations, rollouts.states, rollouts.targets)
-    policy_hash = sha256(path)
-    fixed = FixedPolicy(
-        options.name, *tables, policy_hash, own.time_step, make_cases(*tables, *rows)
-    )
-    facts = _facts(policy, own, file, policy_hash)
-    return Converted(policy, fixed, proof, rollouts, own, facts, options)
-
-
-RESERVED = re.compile(r"(qj|quadjax|neural_network|nn_controller|controller_quadjax)(_|$)")
 
 
 def symbol_name(name: str | None, file: str) -> str:
@@ -180,15 +131,139 @@ def symbol_name(name: str | None, file: str) -> str:
     return name
 
 
-def _facts(policy: Policy, own: OwnRace, file: str, policy_hash: str) -> tuple[str, ...]:
-    """Lines about where a policy comes from."""
-    stated = {k: v for k, v in policy.source.items() if v is not None and not isinstance(v, dict)}
-    source = ", ".join(f"{key}={value}" for key, value in stated.items())
-    facts = (
-        f"Policy   {file}, SHA-256 {policy_hash}",
-        f"Source   {source or 'not stated in the policy file'}",
-        f"Format   words of version {VERSION}; deterministic (mean) actions",
-        f"Track    {own.track}; vehicle {own.vehicle}",
-    )
-    lines = [textwrap.wrap(fact, COMMENT_WIDTH, subsequent_indent=" " * 9) for fact in facts]
-    return tuple(itertools.chain(*lines))
+def convert_policy(
+    policy: Policy,
+    own: OwnRace,
+    options: Options,
+    file: str,
+    path: Path,
+    rollouts: Rollouts | None = None,
+    cases: Cases | None = None,
+) -> Converted:
+    """Convert and prove a policy, and simulate its own race.
+
+    Args:
+        policy: the policy.
+        own: its race.
+        options: of the export.
+        file: name of the policy file, for the headers.
+        path: of the policy file.
+        rollouts: of its own race, if they have been simulated.
+        cases: self-tests of an earlier conversion, which is repeated without simulating.
+
+    Raises:
+        InputError: see ``convert.export_c``.
+    """
+    network = convert(policy, track_ranges(policy.layout, own.params.track) | options.ranges)
+    proof = prove(network, policy)
+    race = make_tables(network.box, policy, own.choices, own.params)
+    check_target(target_of(options.target, policy.vehicle), network, race)
+    if rollouts is None and cases is None:
+        rollouts = flights.simulate(own)
+        if not options.allow_unfinished:
+            flights.check_finished(rollouts.laps, own, file)
+        network.box.check(rollouts.observations)
+        rollouts = rollouts.thinned()
+    vehicle, observed = own.params.vehicle, observed_fields(race)
+    estimator = battery = None
+    if observed & set(DISTURBANCES) and network.model.name == "motor":
+        numbers = (options.sample_rate, options.cutoff)
+        estimator = make_estimator(vehicle.constants, vehicle.residual, *numbers)
+    if HIGHEST_RPM in observed:
+        assert own.params.battery is not None
+        first = float(middle_limit(own.params.battery))
+        battery = make_battery(vehicle.constants, first, options.sample_rate)
+    tables = (network, race, estimator, battery)
+    if cases is None:
+        assert rollouts is not None
+        cases = make_cases(*tables, rollouts.observations, rollouts.states, rollouts.targets)
+    fixed = FixedPolicy(options.name, *tables, sha256(path), own.time_step, cases)
+    return Converted(policy, file, fixed, proof, rollouts, own, options)
+
+
+# ---- report --------------------------------------------------------------------------------------
+
+
+def float64_commands(policy: Policy, observations: np.ndarray) -> np.ndarray:
+    """Commands (n, 4) of the real-valued policy, in float64."""
+    with enable_x64(True):
+        layers = [tuple(jnp.asarray(x, jnp.float64) for x in layer) for layer in policy.layers]
+        y = np.asarray(mlp.apply(layers, jnp.asarray(observations, jnp.float64), "relu"))
+    low, high = policy.command_low, policy.command_high
+    return low + 0.5 * (high - low) * (np.clip(y, -1.0, 1.0) + 1.0)
+
+
+def make_report(converted: Converted) -> Json:
+    """Proven bounds and measurements as JSON takes them; ``verify`` reads the options from it."""
+    fixed, rollouts = converted.fixed, converted.rollouts
+    assert rollouts is not None and rollouts.laps is not None
+    laps = rollouts.laps
+    network, box, own = fixed.network, fixed.network.box, converted.own
+    unit = 2.0**network.fraction_bits
+    inputs = zip(box.layout.labels, box.ranges.tolist(), box.units, strict=True)
+    samples = {
+        "random inputs": uniform_samples(network, BOX_SAMPLES, 0),
+        "simulated": rollouts.observations,
+    }
+    report: Json = {
+        "format_version": VERSION,
+        "vehicle": network.model.name,
+        "unit": network.unit,
+        "inputs": [dict(zip(("name", "range", "unit"), row, strict=True)) for row in inputs],
+        "fraction_bits": network.fraction_bits,
+        "command_low": (network.command_low / unit).tolist(),
+        "command_high": (network.command_high / unit).tolist(),
+        "layers": [_layer(converted, index) for index in range(len(network.layers))],
+        "error_bound": converted.proof.error_bound.tolist(),
+        "measured_error": {name: _measure(converted, x) for name, x in samples.items()},
+        "policy": converted.file,
+        "policy_sha256": fixed.policy_hash,
+        "source": converted.policy.source,
+        "track": own.track,
+        "config": own.origin,
+        "config_sha256": hashlib.sha256(own.config.encode()).hexdigest(),
+        "deterministic": True,
+        "options": dataclasses.asdict(converted.options),
+        "estimator": None,
+        "battery": None,
+        "flights": {
+            "runs": len(laps.crashes),
+            "finished": laps.finished,
+            "laps": laps.lap_times.shape[1],
+            "observations": rollouts.steps,
+        },
+    }
+    if fixed.estimator is not None:
+        ranges = [2.0**e for e in fixed.estimator.channel_exponents]
+        residual = own.residual and sha256(own.residual)
+        report["estimator"] = {"residual_sha256": residual, "channel_ranges": ranges}
+    if (battery := fixed.battery) is not None:
+        numbers = {f"{name}_rpm": getattr(battery, name) * battery.unit for name in
+                   ("lowest", "highest", "first")}  # fmt: skip
+        report["battery"] = numbers | {"update_error_rpm": update_error(battery)}
+    return report
+
+
+def _layer(converted: Converted, index: int) -> Json:
+    """What is proven of a layer."""
+    ranges, hidden = converted.proof.layers[index], index < len(converted.fixed.network.hidden)
+    outputs = [max(0, high >> WORD) for high in ranges.high]
+    return {
+        "rows": len(outputs),
+        "columns": int(converted.fixed.network.layers[index].weights.shape[1]),
+        "largest_accumulator": str(max(ranges.magnitude)),
+        "accumulator_bits": round(converted.proof.accumulator_bits[index], 4),
+        "largest_output": max(outputs) if hidden else None,
+        "never_active": outputs.count(0) if hidden else None,
+    }
+
+
+def _measure(converted: Converted, observations: np.ndarray) -> Json:
+    """Errors of the fixed-point policy over observations (n, inputs), in the command's unit."""
+    fixed = emulator.commands(converted.fixed.network, observations)
+    error = np.abs(fixed - float64_commands(converted.policy, observations))
+    return {
+        "samples": len(observations),
+        "largest": error.max(axis=0).tolist(),
+        "median": float(np.median(error)),
+    }

@@ -1,4 +1,4 @@
-"""Public functions of the exporter: a policy to a folder of fixed-point C."""
+"""The public function of the exporter: a policy to a folder of fixed-point C."""
 
 import contextlib
 import dataclasses
@@ -10,28 +10,31 @@ from pathlib import Path
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError, writing
-from quadjax.core.files import whole_file, write_bytes, write_json, write_npz
+from quadjax.core.files import whole_file, write_bytes, write_json
 from quadjax.core.folders import claim, kind_of, replacement
 from quadjax.core.provenance import provenance
 from quadjax.export.conversion import (
     Converted,
+    Json,
     Options,
     convert_policy,
+    make_report,
     symbol_name,
 )
-from quadjax.export.estimator_tables import CUTOFF, SAMPLE_RATE, check_cutoff
-from quadjax.export.fixed import check_policy
+from quadjax.export.disturbances import CUTOFF, SAMPLE_RATE, check_cutoff
 from quadjax.export.flights import SEED
+from quadjax.export.network import check_policy
 from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, own_race
-from quadjax.export.report import Json, make_report, report_text
+from quadjax.export.render import render
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS, find_target, runtime_files, target_of
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 
 KIND = "export"
-POLICY_FILE, ROLLOUTS_FILE = "policy.npz", "rollouts.npz"
+POLICY_FILE = "policy.npz"
 FOLDERS = ("paparazzi", "indiflight", "indiflight_2026", "qjp", "px4", "crazyflie", "c")
-ROLLOUTS_FORMAT, ROLLOUTS_ARRAYS = "quadjax-rollouts/1", ("observations", "states", "targets")
+ROLLOUTS_FILE = "rollouts.npz"  # of earlier releases
+REPORT = "_report.json"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,12 +48,17 @@ class Export:
     @property
     def name(self) -> str:
         """Name of the files."""
-        return self.converted.name
+        return self.converted.options.name
 
     @property
     def text(self) -> str:
         """The report as text."""
         return report_text(self.report, self.name)
+
+
+def report_text(report: Json, name: str) -> str:
+    """A report as text."""
+    return render("report.txt", {"r": report, "name": name, "unit": report["unit"]})
 
 
 def export_c(
@@ -75,7 +83,7 @@ def export_c(
 
     Args:
         policy: a policy or the path of a policy file.
-        folder: where the C goes. It may hold an earlier export of the same name.
+        folder: where the C goes.
         config: of the race that the policy was trained in: a configuration or the path of one.
             Without it: the config in the policy file, or the preset that the file names.
         ranges: half-widths of the inputs that differ from the defaults, powers of two, by name:
@@ -87,7 +95,8 @@ def export_c(
         allow_unfinished: export a policy although it does not finish its own race.
         allow_other_race: export for a race that differs from the one in the policy file.
         target: processor and autopilot, a name of ``targets.TARGETS``.
-        overwrite: write to a folder that no export made, and replace its files of the same names.
+        overwrite: replace an earlier export of the same name, or write to a folder that no export
+            made, and replace its files of the same names.
 
     Returns:
         The integers, the proof and the report.
@@ -96,7 +105,7 @@ def export_c(
         InputError: no such target; a sample rate or cut-off out of range, or one for a vehicle
             without an estimator; a policy that cannot be converted, that leaves its declared
             ranges, or of which less than 90% of the simulated flights finish; a race that differs
-            from that of the policy file; a folder that cannot be written.
+            from that of the policy file; a folder that cannot be written, or that holds an export.
     """
     rates = (
         SAMPLE_RATE if sample_rate is None else sample_rate,
@@ -106,14 +115,13 @@ def export_c(
     find_target(target)
     enable_compilation_cache()
     folder = Path(folder)
-    given = POLICY_FILE if isinstance(policy, Policy) else Path(policy).name
-    symbol = symbol_name(name, given)
+    file = POLICY_FILE if isinstance(policy, Policy) else Path(policy).name
+    symbol = symbol_name(name, file)
     files = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, ROLLOUTS_FILE, f"{symbol}[._]*", *FOLDERS)
-    _check_empty(folder, overwrite)
+    _check_folder(folder, symbol, overwrite)
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
         numbers = (ranges or {}, *rates)
         options = Options(symbol, *numbers, allow_unfinished, allow_other_race, target)
-        _check_folder(folder, symbol)
         own = Policy.load(path)
         check_policy(own)
         target_of(target, own.vehicle)
@@ -123,12 +131,12 @@ def export_c(
             check_race(own, race, path)
         converted = convert_policy(own, race, options, path.name, path)
         _check_rates(converted, sample_rate, cutoff)
-        report = make_report(converted, path.name)
-        report["provenance"] = provenance(found, path, SEED)
+        report = make_report(converted) | {"provenance": provenance(found, path, SEED)}
+        export = Export(folder, converted, report)
         with writing(folder), replacement(folder, _optional(symbol)) as new:
-            _write(converted, new, report, path)
+            _write(export, new, path)
         _remove_empty(folder)
-    return Export(folder, converted, report)
+    return export
 
 
 def _check_rates(converted: Converted, sample_rate: float | None, cutoff: float | None) -> None:
@@ -154,23 +162,26 @@ def _policy_file(policy: Policy | Path | str) -> Iterator[Path]:
         yield Path(folder) / POLICY_FILE
 
 
-def _check_empty(folder: Path, overwrite: bool) -> None:
-    """Reject a folder that holds other files, which an export would be mixed with."""
+def _check_folder(folder: Path, name: str, overwrite: bool) -> None:
+    """Reject a folder of other files, which an export would be mixed with, or of an export."""
     others = sorted(path.name for path in folder.glob("*")) if folder.is_dir() else []
-    if others and kind_of(folder) is None and not overwrite:
+    names = [file.removesuffix(REPORT) for file in others if file.endswith(REPORT)]
+    another = [other for other in names if other != name]
+    if another:
+        raise InputError(
+            f"{folder}: holds an export named {another[0]!r}; choose another folder, or delete it"
+        )
+    if overwrite:
+        return
+    if names:
+        raise InputError(
+            f"{folder} holds results of export already: replace it (overwrite=True) or choose "
+            "another name"
+        )
+    if others and kind_of(folder) is None:
         raise InputError(
             f"{folder} holds no export, but {others[0]}: choose another folder, or write next to "
             "these files (overwrite=True)"
-        )
-
-
-def _check_folder(folder: Path, name: str) -> None:
-    """Reject a folder that contains the export of another name."""
-    others = sorted({path.name for path in folder.glob("*_report.json")} - {f"{name}_report.json"})
-    if others:
-        other = others[0].removesuffix("_report.json")
-        raise InputError(
-            f"{folder}: holds an export named {other!r}; choose another folder, or delete it"
         )
 
 
@@ -181,7 +192,7 @@ def _optional(name: str) -> tuple[str, ...]:
     for target in TARGETS.values():
         own = ("qj_sizes.h", "quadjax_policy.h", f"{name}.h")
         files += [*runtime_files(target), *(f"{target.folder}/{file}" for file in own)]
-    return (*dict.fromkeys(files), RESIDUAL_FILE)
+    return (*dict.fromkeys(files), RESIDUAL_FILE, ROLLOUTS_FILE)
 
 
 def _remove_empty(folder: Path) -> None:
@@ -193,11 +204,11 @@ def _remove_empty(folder: Path) -> None:
                     path.rmdir()
 
 
-def _write(converted: Converted, folder: Path, report: Json, policy: Path) -> None:
+def _write(export: Export, folder: Path, policy: Path) -> None:
     """The C, the report, and the inputs from which the verification repeats the conversion."""
-    name = converted.name
+    converted, name = export.converted, export.name
     files = converted.files() | {
-        f"{name}_report.txt": report_text(report, name).encode(),
+        f"{name}_report.txt": export.text.encode(),
         CONFIG_FILE: converted.own.config.encode(),
     }
     for file, data in files.items():
@@ -206,6 +217,4 @@ def _write(converted: Converted, folder: Path, report: Json, policy: Path) -> No
         if source is not None:
             with whole_file(folder / file) as temporary:
                 shutil.copyfile(source, temporary)
-    arrays = {name: getattr(converted.rollouts, name) for name in ROLLOUTS_ARRAYS}
-    write_npz(folder / ROLLOUTS_FILE, arrays, {"format": ROLLOUTS_FORMAT})
-    write_json(folder / f"{name}_report.json", report)
+    write_json(folder / f"{name}{REPORT}", export.report)

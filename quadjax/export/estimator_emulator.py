@@ -1,10 +1,10 @@
-"""The emitted estimator in NumPy, integer for integer, for many drones at once."""
-
-import dataclasses
+"""The exported estimators in NumPy, integer for integer, for many drones at once."""
 
 import numpy as np
 
-from quadjax.export.estimator_tables import (
+from quadjax.export.battery import FINE_BITS as BATTERY_BITS
+from quadjax.export.battery import LIMITED, MOTORS, BatteryTables
+from quadjax.export.disturbances import (
     DIFFERENCE_BITS,
     FINE_BITS,
     LOW_PASS_BITS,
@@ -14,35 +14,36 @@ from quadjax.export.estimator_tables import (
     EstimatorTables,
     FixedResidual,
 )
-from quadjax.export.integers import ONE, dense, hidden_output, quantize, round_shift
+from quadjax.export.integers import (
+    INPUT_BITS,
+    ONE,
+    Rescale,
+    dense,
+    hidden_output,
+    quantize,
+    round_shift,
+    scaled,
+)
 
-SPLIT = 16  # a long product is made of an upper part and 16 lower bits
-
-
-@dataclasses.dataclass
-class Memory:
-    """Memory of the filters of n drones, in fine units."""
-
-    s1: np.ndarray  # (n, 6) int64
-    s2: np.ndarray  # (n, 6) int64
-
-
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return round_shift(a * b, Q30)
+FINE = 1 << (BATTERY_BITS - INPUT_BITS)  # fine units of the battery's in 2^-30 of the range
 
 
 def monomials(q: np.ndarray) -> np.ndarray:
-    """The monomials (n, 19) of integer measurements (n, 13); see ``estimator_tables``."""
+    """The monomials (n, 19) of integer measurements (n, 13), in the order of ``MONOMIALS``."""
+
+    def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return round_shift(a * b, Q30)
+
     g, a, w, v = q[:, 0:3].T, q[:, 3:6].T, q[:, 6:10].T, q[:, 10:13].T
-    squares = [_product(x, x) for x in w]
+    squares = [product(x, x) for x in w]
     total = w[0] + w[1] + w[2] + w[3]
     columns = [*g, *a, v[0], v[1]]
-    columns += [_product(g[1], g[2]), _product(g[2], g[0]), _product(g[0], g[1])]
+    columns += [product(g[1], g[2]), product(g[2], g[0]), product(g[0], g[1])]
     columns.append(squares[0] - squares[1] - squares[2] + squares[3])
     columns.append(squares[0] + squares[1] - squares[2] - squares[3])
     columns.append(squares[0] + squares[1] + squares[2] + squares[3])
     columns.append(-w[0] + w[1] - w[2] + w[3])
-    columns += [_product(x, total) for x in v]
+    columns += [product(x, total) for x in v]
     columns.append(round_shift(v[0] * v[0] + v[1] * v[1], Q30))
     return np.stack(columns, axis=1)
 
@@ -57,48 +58,103 @@ def residual_output(network: FixedResidual, inputs: np.ndarray) -> np.ndarray:
     return np.clip(np.stack(columns, axis=1), -RESIDUAL_LIMIT, RESIDUAL_LIMIT)
 
 
-def unexplained(tables: EstimatorTables, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What goes into the filters: (n, 6), and what is differentiated, (n, 6), in fine units."""
-    m = monomials(q)
-    x = round_shift(m @ tables.model.T, MODEL_BITS)
-    d = np.zeros_like(x)
-    d[:, :3] = round_shift(m @ tables.differentiated.T, DIFFERENCE_BITS)
-    if tables.thrust is not None and tables.moment is not None and tables.rpm_input is not None:
-        r = tables.rpm_input
-        rpm = round_shift((q[:, 6:10] - r.middle) * r.factor, r.shift)
-        rpm = np.clip(rpm, -ONE, ONE)
-        inputs = np.concatenate([rpm, q[:, 10:13]], axis=1)
-        x[:, 5] -= residual_output(tables.thrust, inputs)[:, 0]
-        with_rates = np.concatenate([inputs, q[:, 0:3]], axis=1)
-        x[:, :3] -= residual_output(tables.moment, with_rates)
-    return x, d
+class Filters:
+    """The estimator of n drones, whose filters have the memory ``s1``, ``s2`` (n, 6) int64."""
+
+    def __init__(self, tables: EstimatorTables, measured: np.ndarray) -> None:
+        """No disturbance before the first sample (n, 13) float32, all steady until now."""
+        self._tables = tables
+        _, d = self._unexplained(measured)
+        self.s1 = -scaled(d, tables.gain, LOW_PASS_BITS)
+        self.s2 = self.s1.copy()
+
+    def _unexplained(self, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What goes into the filters (n, 6), and what is differentiated (n, 6), in fine units."""
+        tables, q = self._tables, quantize(measured, self._tables.exponents)
+        m = monomials(q)
+        x = round_shift(m @ tables.model.T, MODEL_BITS)
+        d = np.zeros_like(x)
+        d[:, :3] = round_shift(m @ tables.differentiated.T, DIFFERENCE_BITS)
+        if tables.thrust is not None and tables.moment is not None and tables.rpm_input is not None:
+            rpm = np.clip(tables.rpm_input.apply(q[:, 6:10]), -ONE, ONE)
+            inputs = np.concatenate([rpm, q[:, 10:13]], axis=1)
+            x[:, 5] -= residual_output(tables.thrust, inputs)[:, 0]
+            x[:, :3] -= residual_output(tables.moment, np.append(inputs, q[:, 0:3], axis=1))
+        return x, d
+
+    def update(self, measured: np.ndarray) -> np.ndarray:
+        """Moments and specific forces (n, 6) float32, N m and m/s^2, after a sample (n, 13)."""
+        tables, (x, d) = self._tables, self._unexplained(measured)
+        limit = 1 << FINE_BITS  # never reached: the converter bounds the output by the range
+        y = np.clip(scaled(x + d, tables.gain, LOW_PASS_BITS) + self.s1, -limit, limit)
+        straight = scaled(2 * x, tables.gain, LOW_PASS_BITS)
+        self.s1 = self.s2 + straight - scaled(y, tables.a1, Q30)
+        self.s2 = scaled(x - d, tables.gain, LOW_PASS_BITS) - scaled(y, tables.a2, Q30)
+        units = np.ldexp(1.0, np.asarray(tables.channel_exponents) - Q30)
+        upper = (y >> (FINE_BITS - Q30)).astype(np.int32)
+        return (upper.astype(np.float32) * units.astype(np.float32)).astype(np.float32)
 
 
-def scaled(value: np.ndarray, factor: int, bits: int) -> np.ndarray:
-    """``value factor / 2^bits`` to the nearest, of a product that needs more than 64 bits."""
-    upper, lower = value >> SPLIT, value & ((1 << SPLIT) - 1)
-    return round_shift(upper * factor + ((lower * factor) >> SPLIT), bits - SPLIT)
+def estimate(tables: EstimatorTables, log: np.ndarray) -> np.ndarray:
+    """Moments and specific forces (n, 6) float32 along measurements (n, 13) float32."""
+    filters = Filters(tables, log[:1])
+    return np.concatenate([filters.update(sample[None]) for sample in log])
 
 
-def start(tables: EstimatorTables, measured: np.ndarray) -> Memory:
-    """The memory before the first sample (n, 13): no disturbance, all steady until now."""
-    _, d = unexplained(tables, quantize(measured, tables.exponents))
-    before = -scaled(d, tables.gain, LOW_PASS_BITS)
-    return Memory(before, before.copy())
+class Battery:
+    """The estimator of the highest speed of n drones; its memory is int64 in fine units.
+
+    Attributes:
+        speed: (n, 4).
+        expected: (n, 4).
+        limited: (n, 4), of 2^40 for one.
+        highest: (n,), the estimate.
+    """
+
+    def __init__(self, tables: BatteryTables, sample: np.ndarray) -> None:
+        """Steady speeds of the first sample (n, 8) float32, and the first estimate."""
+        self._tables = tables
+        self.speed = quantize(sample, tables.exponents)[:, :MOTORS] * FINE
+        self.expected, self.limited = self.speed.copy(), np.zeros_like(self.speed)
+        self.highest = np.full(len(sample), tables.first, np.int64)
+
+    @property
+    def memory(self) -> np.ndarray:
+        """All of it (n, 13), of which the self-test compares a digest."""
+        parts = (self.speed, self.expected, self.limited, self.highest[:, None])
+        return np.concatenate(parts, axis=1)
+
+    @property
+    def rpm(self) -> np.ndarray:
+        """The estimates (n,) float32, rpm, as the C gives them."""
+        upper = (self.highest // FINE).astype(np.int32).astype(np.float32)
+        return (upper * np.float32(self._tables.unit * FINE)).astype(np.float32)
+
+    def update(self, sample: np.ndarray) -> None:
+        """One sample (n, 8) float32: four measured speeds and four commands before it, rpm."""
+        tables, q = self._tables, quantize(sample, self._tables.exponents) * FINE
+        rpm, command, limit = q[:, :MOTORS], q[:, MOTORS:], self.highest[:, None]
+
+        def product(value: np.ndarray, by: Rescale) -> np.ndarray:
+            return scaled(value, by.factor, by.shift)
+
+        def towards(past: np.ndarray, now: np.ndarray) -> np.ndarray:
+            return past + product(now - past, tables.low_pass)
+
+        self.expected = towards(self.expected, np.minimum(command, limit))
+        self.limited = towards(self.limited, np.where(command >= limit, 1 << BATTERY_BITS, 0))
+        error = self.speed + product(rpm - self.speed, tables.lead) - self.expected
+        self.speed = towards(self.speed, rpm)
+        weighted = scaled(error, self.limited // FINE, LIMITED.shift).sum(axis=1)
+        highest = self.highest + product(weighted, tables.gain)
+        self.highest = np.clip(highest, tables.lowest, tables.highest)
 
 
-def update(tables: EstimatorTables, memory: Memory, measured: np.ndarray) -> np.ndarray:
-    """One sample (n, 13): the external moment and specific force (n, 6), in fine units."""
-    x, d = unexplained(tables, quantize(measured, tables.exponents))
-    limit = 1 << FINE_BITS  # never reached: the converter bounds the output by the range
-    y = np.clip(scaled(x + d, tables.gain, LOW_PASS_BITS) + memory.s1, -limit, limit)
-    memory.s1 = memory.s2 + scaled(2 * x, tables.gain, LOW_PASS_BITS) - scaled(y, tables.a1, Q30)
-    memory.s2 = scaled(x - d, tables.gain, LOW_PASS_BITS) - scaled(y, tables.a2, Q30)
-    return y
-
-
-def outputs(tables: EstimatorTables, y: np.ndarray) -> np.ndarray:
-    """Fine units (n, 6) as float32: N m and m/s^2, as the C gives them."""
-    units = np.ldexp(1.0, np.asarray(tables.channel_exponents) - Q30)
-    upper = (y >> (FINE_BITS - Q30)).astype(np.int32)
-    return (upper.astype(np.float32) * units.astype(np.float32)).astype(np.float32)
+def estimate_highest(tables: BatteryTables, log: np.ndarray) -> np.ndarray:
+    """The estimates (n,) float32, rpm, along samples (n, 8)."""
+    battery = Battery(tables, log[:1])
+    estimates = [battery.rpm]
+    for sample in log[1:]:
+        battery.update(sample[None])
+        estimates.append(battery.rpm)
+    return np.concatenate(estimates)

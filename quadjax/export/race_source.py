@@ -1,6 +1,8 @@
 """The race of a policy: which configuration describes it, and its environment."""
 
 import dataclasses
+import functools
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -123,35 +125,34 @@ def check_race(policy: Policy, own: OwnRace, file: Path) -> str:
     Raises:
         InputError: the first difference.
     """
-    named = policy.source.get("residual")
+    named, difference = policy.source.get("residual"), None
     has_residual = own.params.vehicle.residual is not None
     if policy.config is None and "residual" in policy.source and bool(named) != has_residual:
-        has = "no residual" if named else "a residual"
-        found, said = f"vehicle.residual is {named or 'null'} in training, {has} here", ""
+        has, compared = "no residual" if named else "a residual", ""
+        difference = f"vehicle.residual is {named or 'null'} in training, {has} here"
     elif policy.config is not None or preset_of(policy):
         config, _ = race_of_policy(policy, file.name)
-        found = _difference(own_race(config, policy, "the policy file", file.name), own)
-        said = "vehicle, track, gate test and time step are those of the policy file"
+        trained = _facts(own_race(config, policy, "the policy file", file.name))
+        difference = next(_differences(trained, _facts(own)), None)
+        compared = "vehicle, track, gate test and time step are those of the policy file"
     else:
-        found, said = None, "the policy file names no race"
-    if found is not None:
+        compared = "the policy file names no race"
+    if difference is not None:
         raise InputError(
-            f"{file.name}: trained in another race than {own.origin}: {found}; "
+            f"{file.name}: trained in another race than {own.origin}: {difference}; "
             "allow_other_race=True accepts it"
         )
-    return said
+    return compared
 
 
-def _difference(trained: OwnRace, own: OwnRace) -> str | None:
-    """The first difference between two races, as text."""
-    before, now = _facts(trained), _facts(own)
-    for name in before | now:
-        pair = [facts.get(name) for facts in (before, now)]
+def _differences(trained: dict[str, object], own: dict[str, object]) -> Iterator[str]:
+    """The differences between the properties of two races, as text."""
+    for name in trained | own:
+        pair = (trained.get(name), own.get(name))
         if not np.array_equal(*pair):
-            size = max(np.size(x) for x in pair)
-            shown = ["none" if x is None else x if size <= 8 else "other numbers" for x in pair]
-            return f"{name} is {shown[0]} in training, {shown[1]} here"
-    return None
+            large = max(np.size(x) for x in pair) > 8
+            texts = ["none" if x is None else "other numbers" if large else x for x in pair]
+            yield f"{name} is {texts[0]} in training, {texts[1]} here"
 
 
 def _facts(own: OwnRace) -> dict[str, object]:
@@ -160,14 +161,10 @@ def _facts(own: OwnRace) -> dict[str, object]:
     parts = {"vehicle": params.vehicle, "track": params.track, "time_step": own.time_step}
     if HIGHEST_RPM in own.choices.layout:
         parts["battery"] = params.battery
-    numbers = {
-        jax.tree_util.keystr(path, simple=True, separator="."): np.asarray(leaf)
-        for path, leaf in jax.tree_util.tree_leaves_with_path(parts)
-    }
-    model, gates = own.choices.model.name, len(params.track.yaw)
-    words = {
-        "vehicle.model": model,
-        "gate_test": own.params.rules.gate_test,
-        "the number of gates": gates,
-    }
-    return words | numbers
+    leaves = jax.tree_util.tree_leaves_with_path(parts)
+    keystr = functools.partial(jax.tree_util.keystr, simple=True, separator=".")
+    return {
+        "vehicle.model": own.choices.model.name,
+        "gate_test": params.rules.gate_test,
+        "the number of gates": len(params.track.yaw),
+    } | {keystr(path): np.asarray(leaf) for path, leaf in leaves}

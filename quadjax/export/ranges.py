@@ -12,9 +12,11 @@ from quadjax.race.observations import (
     CONSTANTS,
     DISTURBANCES,
     HIGHEST_RPM,
+    NEXT_FIELDS,
     fields_of,
     is_of_motion,
 )
+from quadjax.race.track import Track, gates_ahead
 from quadjax.vehicle.registry import MODELS
 
 SMALLEST, LARGEST = 2.0**-20, 2.0**20
@@ -42,9 +44,10 @@ class InputBox:
     @property
     def units(self) -> list[str]:
         """The unit of every input."""
-        return [self._unit(f.name) for f in self.layout.fields for _ in range(f.size)]
+        return [self.unit(f.name) for f in self.layout.fields for _ in range(f.size)]
 
-    def _unit(self, field: str) -> str:
+    def unit(self, field: str) -> str:
+        """The unit of a field's inputs."""
         return "of its range" if split_name(field)[0] in self.scaled else self.layout[field].unit
 
     def limit(self, field: str) -> float:
@@ -58,39 +61,26 @@ class InputBox:
 
     def check(self, observations: np.ndarray) -> None:
         """Raise an ``InputError`` if observations (n, inputs) leave the box."""
-        largest = np.max(np.abs(observations), axis=0)
-        sizes = {
-            f.name: float(largest[self.layout.slice(f.name)].max()) for f in self.layout.fields
-        }
+        largest, sizes = np.max(np.abs(observations), axis=0), dict[str, float]()
         for name in self.layout.names:  # the range of a history is that of its field
-            base = split_name(name)[0]
-            sizes[base] = max(sizes[name], sizes.get(base, 0.0))
-        limits = {name: self.limit(name) * ROUNDING for name in sizes}
-        beyond = {name: size for name, size in sizes.items() if not size <= limits[name]}
+            base, size = split_name(name)[0], float(largest[self.layout.slice(name)].max())
+            sizes[base] = max(size, sizes.get(base, 0.0))
+        limits = {name: self.limit(name) for name in sizes}
+        beyond = {n: size for n, size in sizes.items() if not size <= limits[n] * ROUNDING}
         if beyond:
-            problems = (
-                f"{name} reaches {size:.4g} {self._unit(name)}, declared +-{self.limit(name):g}"
+            problems = "; ".join(
+                f"{name} reaches {size:.4g} {self.unit(name)}, declared +-{limits[name]:g}"
                 for name, size in beyond.items()
             )
-            options = (f"--range {name}={next_power(size):g}" for name, size in beyond.items())
+            options = " ".join(f"--range {n}={next_power(size):g}" for n, size in beyond.items())
             raise InputError(
-                f"the policy's own flights leave the declared range: {'; '.join(problems)}; "
-                f"declare {' '.join(options)}"
+                f"the policy's own flights leave the declared range: {problems}; declare {options}"
             )
 
 
 def next_power(value: float) -> float:
     """The smallest power of two that is not below a value."""
     return 2.0 ** math.ceil(math.log2(value)) if 0 < value < math.inf else value
-
-
-def _exponent(name: str, value: float) -> int:
-    if not SMALLEST <= value <= LARGEST or math.frexp(value)[0] != 0.5:
-        raise InputError(
-            f"range {name}={value:g}: expected a power of two between 2^-20 and 2^20, "
-            "such as 8 or 0.5"
-        )
-    return math.frexp(value)[1] - 1
 
 
 def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputBox:
@@ -106,8 +96,8 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
     known = {name: f for name, f in fields_of(model).items() if name not in without}
     for field in policy.layout.fields:
         base, lag = split_name(field.name)
-        kept = not lag or (is_of_motion(base) and (base in policy.layout or base == LAST_ACTION))
-        if base not in known or known[base].size != field.size or not kept:
+        fits = not lag or (is_of_motion(base) and (base in policy.layout or base == LAST_ACTION))
+        if base not in known or known[base].size != field.size or not fits:
             raise InputError(
                 f"the policy observes {field.name!r} ({field.size} numbers), which has no C; "
                 f"supported: {', '.join(f'{f.name} ({f.size})' for f in known.values())}"
@@ -119,11 +109,45 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
         own[name] = value
     ranges = {name: field.range for name, field in known.items()} | own
     ranges |= {name: ranges[split_name(name)[0]] for name in policy.layout.names}
-    return InputBox(
-        layout=policy.layout,
-        exponent={name: _exponent(name, value) for name, value in ranges.items()},
-        scaled=(model.actuators.name, *DISTURBANCES, LAST_ACTION, HIGHEST_RPM),
-    )
+    for name, value in ranges.items():
+        if not SMALLEST <= value <= LARGEST or math.frexp(value)[0] != 0.5:
+            raise InputError(
+                f"range {name}={value:g}: expected a power of two between 2^-20 and 2^20, "
+                "such as 8 or 0.5"
+            )
+    exponents = {name: math.frexp(value)[1] - 1 for name, value in ranges.items()}
+    scaled = (model.actuators.name, *DISTURBANCES, LAST_ACTION, HIGHEST_RPM)
+    return InputBox(policy.layout, exponents, scaled)
+
+
+def next_gates(track: Track) -> dict[str, np.ndarray]:
+    """The fields that depend only on the gate, (gates, size) float64 of each."""
+    position = np.stack([np.asarray(c) for c in track.next_position.components()], 1)
+    plain = np.roll(track.yaw, -1) - np.asarray(track.yaw)
+    values = {
+        "next_position": position,
+        "next_yaw": np.asarray(track.next_yaw)[:, None],
+        "next_yaw_unwrapped": plain[:, None],
+    }
+    for count, (place_field, yaw_field) in enumerate(NEXT_FIELDS, start=2):
+        place, yaw = gates_ahead(track, count)
+        values[place_field.name] = np.asarray(place.array())
+        values[yaw_field.name] = np.asarray(yaw)[:, None]
+    return {name: value.astype(np.float64) for name, value in values.items()}
+
+
+def track_ranges(layout: Layout, track: Track) -> dict[str, float]:
+    """The ranges by field that a track needs where they are above those of the layout.
+
+    At the start of a leg, the distance to its gate is about that between the two gates.
+    """
+    needed = {name: np.abs(value).max() for name, value in next_gates(track).items()}
+    needed["position"] = 1.25 * needed["next_position"]
+    return {
+        name: next_power(size)
+        for name, size in needed.items()
+        if name in layout and size > layout[name].range
+    }
 
 
 def parse_overrides(options: list[str]) -> dict[str, float]:

@@ -8,41 +8,44 @@ import numpy as np
 
 from quadjax.core.errors import InputError, reading
 from quadjax.core.files import check_file
-from quadjax.export import cases
-from quadjax.export.battery_tables import prove_battery
-from quadjax.export.estimator_tables import EstimatorTables, prove_terms
-from quadjax.export.fixed import FixedLayer, FixedNetwork
-from quadjax.export.integers import INPUT_BITS, ONE, WORD
-from quadjax.export.proof import prove_layer
+from quadjax.export.battery import BatteryTables
+from quadjax.export.cases import MEASUREMENTS, SAMPLES, Cases
+from quadjax.export.check import check, passes
+from quadjax.export.disturbances import CHANNELS, MONOMIALS, EstimatorTables, FixedResidual
+from quadjax.export.integers import DIGEST_START, Rescale
+from quadjax.export.network import FixedLayer, FixedNetwork
 from quadjax.export.race_tables import (
-    ATTITUDE,
-    COPY,
-    GATE,
-    POSITION,
-    QUATERNION_EXPONENT,
     ROTATION,
     SCALED,
-    VELOCITY,
-    YAW_EXPONENT,
+    TRACK,
+    VECTORS,
     Input,
     RaceTables,
 )
+from quadjax.export.ranges import InputBox
 from quadjax.export.words import (
+    BLOCK,
+    COMMANDS,
+    FACTORS,
     HEADER,
-    LARGEST_EXPONENT,
-    LARGEST_SHIFT,
+    KINDS,
     MAGIC,
-    SIZES,
+    STATE_FIELDS,
+    STRUCTS,
     VERSION,
+    ZERO,
     FixedPolicy,
+    case_groups,
     pack,
-    read_words,
-    upgraded,
+    padded,
+    sealed,
 )
+from quadjax.race.layout import Field, Layout, split_name
+from quadjax.race.observations import fields_of
+from quadjax.vehicle.registry import MODELS
 
 MOST_BYTES = 2**24
-LARGEST_LAG, LARGEST_YAW = 4096, 2**36
-VECTORS = {POSITION: "position", VELOCITY: "velocity", ATTITUDE: "euler", ROTATION: "quaternion"}
+SIZES_DIFFER = "its sizes are not those of its header"
 
 
 def read_qjp(path: Path | str) -> FixedPolicy:
@@ -65,11 +68,11 @@ def unpack(data: bytes) -> FixedPolicy:
     """As ``read_qjp``, of the bytes of a file."""
     try:
         with np.errstate(all="ignore"):
-            data = _checked(data)
+            data = _intact(data)
             policy = read_words(data)
             same = pack(policy) == data
-            _check(policy)
-            right = same and _passes(policy)
+            check(policy)
+            right = same and passes(policy)
     except InputError:
         raise
     except (ValueError, IndexError, KeyError, OverflowError, ZeroDivisionError) as error:
@@ -81,7 +84,12 @@ def unpack(data: bytes) -> FixedPolicy:
     return policy
 
 
-def _checked(data: bytes) -> bytes:
+def read_words(data: bytes) -> FixedPolicy:
+    """The policy of words whose checksum is right; no other check than that of sizes."""
+    return _Reader(data[:-4]).policy()
+
+
+def _intact(data: bytes) -> bytes:
     """Words of this version, after magic, version, size and checksum."""
     if len(data) < 240 or len(data) % 4:
         raise InputError(f"{len(data)} bytes, which no .qjp file has")
@@ -100,128 +108,199 @@ def _checked(data: bytes) -> bytes:
         raise InputError("changed since it was written: its checksum differs")
     if version == VERSION and len(data) < HEADER.itemsize + 4:
         raise InputError(f"{len(data)} bytes, which no .qjp file has")
-    return upgraded(data) if version == 1 else data
+    return _upgraded(data) if version == 1 else data
 
 
-def _require(condition: bool, what: str) -> None:
-    if not condition:
-        raise InputError(f"{what} is not allowed")
+def _upgraded(data: bytes) -> bytes:
+    """The words of version 1 of the format as words of this version."""
+    old = np.frombuffer(data[:-32], "<i4")
+    inputs, layers, state, fields, parts = (int(old[i]) for i in (3, 5, 6, 7, 8))
+    header = np.zeros(1, HEADER)
+    first = header.view("<i4")
+    first[:4], first[4:17] = old[:4], old[5:18]  # without the number of commands
+    header["version"], header["history_digest"] = VERSION, DIGEST_START
+    first[20:40] = old[18:38]  # hash, name and vehicle; then the places of the rotors
+    first[40:48] = old[42:50]
+    if old[4] != COMMANDS or not np.array_equal(old[38:42], np.arange(COMMANDS)):
+        raise InputError("other than four commands, or rotors in another order")
+    ends = np.cumsum([50, 5 * layers, 3 * fields + state, 10 * parts, 4 * inputs])
+    certificates = old[ends[0] : ends[1]].reshape(layers, 5)[:, :2]
+    observed = old[ends[2] : ends[3]].reshape(parts, 10)
+    observed = np.insert(observed, 4, 0, axis=1)  # without a lag
+    pieces = (first, certificates, old[ends[1] : ends[2]], observed, old[ends[3] :])
+    return sealed(b"".join(np.ascontiguousarray(piece, "<i4").tobytes() for piece in pieces))
 
 
-def _check(policy: FixedPolicy) -> None:
-    """What ``runtime/qj_check.c`` checks, in its order."""
-    network, race = policy.network, policy.race
-    _require(1 <= network.output_shift <= WORD, f"an output shift of {network.output_shift}")
-    _require(0 <= network.fraction_bits <= 30, f"{network.fraction_bits} fraction bits")
-    _require(policy.time_step > 0, "its time step")
-    ends = (network.command_low, network.command_high)
-    _require(bool(np.all(ends[0] <= ends[1]) and np.all(ends[0] > -(2**31))), "a command range")
-    _check_state(race)
-    place = 0
-    for part in race.inputs:
-        _require(part.index == place, f"the place of {part.name}")
-        _check_input(race, part)
-        place += race.box.layout[part.name].size
-    _check_track(race)
-    if policy.estimator is not None:
-        _check_estimator(policy.estimator)
-    if policy.battery is not None:
-        prove_battery(policy.battery)
-    prove_network(network)
+# ---- words ---------------------------------------------------------------------------------------
 
 
-def _check_state(race: RaceTables) -> None:
-    starts = np.cumsum([0, *(len(field.exponents) for field in race.fields)])
-    names = [field.name for field in race.fields]
-    for field, start in zip(race.fields, starts, strict=False):
-        _require(field.start == start, f"the place of {field.name}")
-        _require(len(field.exponents) == SIZES.get(field.name, 3), f"the size of {field.name}")
-    _require(len(set(names)) == len(names) and "position" in names, "a field of the state")
-    _require(max(map(abs, race.exponents)) <= LARGEST_EXPONENT, "a range of the state")
+class _Reader:
+    """Takes words from the beginning on; checks no more than sizes and codes."""
 
+    def __init__(self, data: bytes) -> None:
+        self._data, self._at = data, 0
 
-def _check_input(race: RaceTables, part: Input) -> None:
-    exponent, exponents = race.box.exponent[part.name], race.exponents
-    own = [exponents[i] for i in part.sources] if part.kind != GATE else []
-    fine = abs(exponent) <= LARGEST_EXPONENT and 0 <= part.lag <= LARGEST_LAG
-    fine &= all(source >= 0 for source in part.sources)
-    size = race.box.layout[part.name].size
-    if part.kind in VECTORS:
-        first = next((f.start for f in race.fields if f.name == VECTORS[part.kind]), None)
-        fine &= part.sources[0] == first and size == (6 if part.kind == ROTATION else 3)
-    if part.kind in (POSITION, VELOCITY):
-        fine &= len(set(own)) == 1 and 1 <= INPUT_BITS - own[0] + exponent <= LARGEST_SHIFT
-    if part.kind == ATTITUDE:
-        fine &= own == [exponent, exponent, YAW_EXPONENT]
-    if part.kind == ROTATION:
-        fine &= set(own) == {QUATERNION_EXPONENT}
-        fine &= 1 - INPUT_BITS <= exponent <= LARGEST_SHIFT - INPUT_BITS
-    if part.kind == COPY:
-        fine &= set(own) == {exponent}
-    if part.kind == SCALED:
-        fine &= all(r is None or 1 <= r.shift <= LARGEST_SHIFT for r in part.rescales)
-        numbers = [x for r in part.rescales if r is not None for x in (r.middle, r.factor)]
-        fine &= all(x > -(2**31) for x in numbers)
-    if part.kind == GATE:
-        fine &= max(part.sources) < race.next_gate.shape[1]
-    _require(bool(fine), f"the input {part.name}")
+    def take(self, dtype: np.dtype | str, count: int) -> np.ndarray:
+        """The next numbers or structures, (count,)."""
+        size = np.dtype(dtype).itemsize * int(count)
+        if count < 0 or self._at + size > len(self._data):
+            raise InputError(SIZES_DIFFER)
+        self._at += size
+        return np.frombuffer(self._data[self._at - size : self._at], dtype)
 
-
-def _check_track(race: RaceTables) -> None:
-    assert race.axes is not None
-    units = (race.gate_position, race.axes, race.gate_cos, race.gate_sin, race.next_gate)
-    _require(all(np.all(np.abs(x) <= ONE) for x in units), "a gate")
-    _require(bool(np.all(np.abs(race.gate_yaw) <= LARGEST_YAW)), "the yaw of a gate")
-    _require(bool(np.all(race.half_size >= 0)), "the size of a gate")
-
-
-def _check_estimator(tables: EstimatorTables) -> None:
-    exponents = (*tables.exponents, *tables.channel_exponents)
-    _require(
-        max(map(abs, exponents)) <= 96 and tables.sample_rate > 0.0, "a range of its estimator"
-    )
-    prove_terms(tables)
-    if tables.thrust is None or tables.moment is None or tables.rpm_input is None:
-        return
-    fine = 1 <= tables.rpm_input.shift <= LARGEST_SHIFT and abs(tables.rpm_input.middle) <= ONE
-    fine &= all(
-        1 <= shift <= INPUT_BITS for shift in (*tables.thrust.shifts, *tables.moment.shifts)
-    )
-    _require(fine, "a scale of its residual")
-    for net, inputs, outputs in ((tables.thrust, 7, 1), (tables.moment, 10, 3)):
-        _prove((*net.hidden, net.output), inputs, outputs)
-
-
-def prove_network(network: FixedNetwork) -> None:
-    """The range proof alone, of a network without real values.
-
-    Raises:
-        InputError: see ``proof.prove_layer``.
-    """
-    _prove(network.layers, network.inputs, len(network.command_low))
-
-
-def _prove(layers: tuple[FixedLayer, ...], inputs: int, outputs: int) -> None:
-    high = np.array([ONE] * inputs, object)
-    low = -high
-    for index, layer in enumerate(layers):
-        rows = prove_layer(index, layer, low, high, index + 1 < len(layers))
-        low, high = (
-            np.array([max(0, end >> WORD) for end in ends], object)
-            for ends in ([row.low for row in rows], [row.high for row in rows])
+    def policy(self) -> FixedPolicy:
+        """All words."""
+        header = self.take(HEADER, 1)[0]
+        vehicle = _string(header["vehicle"])
+        if vehicle not in MODELS:
+            raise InputError(f"vehicle model {vehicle!r}, allowed: {', '.join(MODELS)}")
+        shapes = self.take(STRUCTS["layer"], header["layers"])
+        race = self.race(header, vehicle)
+        hidden, output = self.layers(shapes)
+        network = FixedNetwork(
+            box=race.box,
+            hidden=hidden,
+            output=output,
+            output_shift=int(header["output_shift"]),
+            fraction_bits=int(header["fraction_bits"]),
+            command_low=header["low"].astype(np.int64),
+            command_high=header["high"].astype(np.int64),
+            model=MODELS[vehicle],
         )
-    _require(len(layers[-1].bias) == outputs, f"{len(layers[-1].bias)} outputs")
+        estimator = self.estimator() if header["estimator"] else None
+        battery = self.battery() if header["battery"] else None
+        cases = self.cases(header)
+        if self._at != len(self._data):
+            raise InputError(SIZES_DIFFER)
+        source = header["source"].astype("<u4").tobytes().hex()
+        names = (_string(header["name"]), network, race, estimator, battery, source)
+        return FixedPolicy(*names, race.time_step, cases)
+
+    def race(self, header: np.ndarray, vehicle: str) -> RaceTables:
+        """State, observation and track."""
+        fields = self.take(STRUCTS["field"], header["fields"])
+        exponents = self.take("<i4", header["state_size"]).astype(np.int64)
+        parts = self.take(STRUCTS["part"], header["parts"])
+        numbers = self.take(STRUCTS["input"], header["inputs"])
+        count, size = int(header["gates"]), STRUCTS["gate"].itemsize // 4
+        columns = size + int(header["constants"])
+        track = self.take("<i4", count * columns).reshape(count, columns)
+        gates = np.ascontiguousarray(track[:, :size]).view(STRUCTS["gate"])[:, 0]
+        return RaceTables(
+            box=_box(parts, vehicle),
+            fields=dict(_state_field(row, exponents) for row in fields),
+            inputs=tuple(_input(part, numbers) for part in parts),
+            track=gates.astype(TRACK),
+            next_gate=track[:, size:].astype(np.int64),
+            world_box=bool(header["world_box"]),
+            time_step=float(header["period_ns"] / 1e9),
+        )
+
+    def layers(self, shapes: np.ndarray) -> tuple[tuple[FixedLayer, ...], FixedLayer]:
+        """Hidden layers and the output layer, without their padding."""
+        layers = []
+        for number, (rows, columns) in enumerate(shapes.tolist(), start=1):
+            if rows < 1 or columns < 1:
+                raise InputError(f"layer {number - 1}: {rows} rows of {columns}, allowed: above 0")
+            height, width = padded(rows, columns, number < len(shapes))
+            blocks = self.take("<i4", height * width).reshape(-1, width, BLOCK)
+            weights = blocks.transpose(0, 2, 1).reshape(height, width)[:rows, :columns]
+            bias = self.take("<i8", height)[:rows].astype(np.int64)
+            layers.append(FixedLayer(weights.astype(np.int32), bias, np.full(rows, np.nan)))
+        return tuple(layers[:-1]), layers[-1]
+
+    def estimator(self) -> EstimatorTables:
+        """The estimator of the disturbances."""
+        own = self.take(STRUCTS["estimator"], 1)[0]
+        terms = self.take(STRUCTS["term"], own["terms"])
+        shapes = [self.take(STRUCTS["layer"], own[f"{name}_layers"]) for name in _NETS]
+        shifts = [tuple(np.ravel(own[f"{name}_shift"]).tolist()) for name in _NETS]
+        nets = [
+            FixedResidual(*self.layers(shape), shift)
+            for shape, shift in zip(shapes, shifts, strict=True)
+            if len(shape)
+        ]
+        if len(nets) == 1:
+            raise InputError("its estimator has one residual network, allowed: none or two")
+        model = np.zeros((len(CHANNELS) + 3, len(MONOMIALS)), np.int64)
+        model[terms["channel"], terms["monomial"]] = terms["factor"]
+        rpm = Rescale(*(int(own[f"rpm_{key}"]) for key in ("middle", "factor", "shift")))
+        return EstimatorTables(
+            sample_rate=1e9 / int(own["period_ns"]),
+            cutoff=0.0,
+            exponents=tuple(own["exponents"].tolist()),
+            channel_exponents=tuple(own["channels"].tolist()),
+            model=model[: len(CHANNELS)],
+            differentiated=model[len(CHANNELS) :],
+            a1=int(own["a1"]),
+            a2=int(own["a2"]),
+            gain=int(own["gain"]),
+            rpm_input=rpm if nets else None,
+            thrust=nets[0] if nets else None,
+            moment=nets[1] if nets else None,
+        )
+
+    def battery(self) -> BatteryTables:
+        """The estimator of the highest rpm."""
+        own = self.take(STRUCTS["battery"], 1)[0]
+        factors = {name: Rescale(0, int(own[name]), int(own[f"{name}_shift"])) for name in FACTORS}
+        ends = {name: int(own[name]) for name in ("lowest", "highest", "first", "exponent")}
+        return BatteryTables(sample_rate=1e9 / int(own["period_ns"]), **factors, **ends)
+
+    def cases(self, header: np.ndarray) -> Cases:
+        """The self-tests."""
+        disturbances, battery = bool(header["estimator"]), bool(header["battery"])
+        counts = (header["network_tests"], header["race_tests"], MEASUREMENTS * disturbances,
+                  SAMPLES * disturbances, MEASUREMENTS * battery, SAMPLES * battery)  # fmt: skip
+        arrays = {}
+        groups = case_groups(int(header["inputs"]), int(header["state_size"]))
+        for count, group in zip(map(int, counts), groups, strict=True):
+            width = sum(group.values())
+            rows = self.take("<u4", count * width).reshape(count, width)
+            columns = np.split(rows, np.cumsum(list(group.values()))[:-1], axis=1)
+            arrays |= dict(zip(group, columns, strict=True))
+        return Cases(**arrays, history_digest=int(header["history_digest"]))
 
 
-def _passes(policy: FixedPolicy) -> bool:
-    """Whether the emulators give the integers of the self-tests."""
-    own = policy.cases
-    return (
-        cases.passes(own, policy.network, policy.race)
-        and np.array_equal(
-            cases.estimates_of(policy.estimator, own.measurements.view(np.float32)), own.estimates
-        )
-        and np.array_equal(
-            cases.digests_of(policy.battery, own.samples.view(np.float32)), own.digests
-        )
-    )
+_NETS = ("thrust", "moment")
+
+
+def _string(words: np.ndarray) -> str:
+    return words.astype("<u4").tobytes().partition(b"\0")[0].decode("ascii", "replace")
+
+
+def _state_field(row: np.ndarray, exponents: np.ndarray) -> tuple[str, tuple[int, ...]]:
+    code, start, size = row.tolist()
+    if not 1 <= code <= len(STATE_FIELDS):
+        raise InputError(f"field {code} of its state, allowed: 1 to {len(STATE_FIELDS)}")
+    return STATE_FIELDS[code - 1], tuple(exponents[start : start + size].tolist())
+
+
+def _box(parts: np.ndarray, vehicle: str) -> InputBox:
+    """The declared ranges, by field."""
+    units = {field.name: (field.unit, field.frame) for field in fields_of(MODELS[vehicle]).values()}
+    fields, scaled, exponent = [], [], {}
+    for part in parts:
+        name, kind = _string(part["name"]), int(part["kind"])
+        if not 1 <= kind <= len(KINDS):
+            raise InputError(f"kind {kind} of its inputs, allowed: 1 to {len(KINDS)}")
+        exponent[name] = int(part["exponent"])
+        unit, frame = units.get(split_name(name)[0], ("", ""))
+        fields.append(Field(name, int(part["size"]), unit, frame, 2.0 ** exponent[name]))
+        scaled += [split_name(name)[0]] if KINDS[kind - 1] == SCALED else []
+    return InputBox(Layout(tuple(fields)), exponent, tuple(scaled))
+
+
+def _input(part: np.ndarray, numbers: np.ndarray) -> Input:
+    """How a field of the observation is computed."""
+    kind, index, size = KINDS[part["kind"] - 1], int(part["index"]), int(part["size"])
+    rows = [row.tolist() for row in numbers[index : index + size]] if index >= 0 else []
+    if not rows or len(rows) != size:
+        raise InputError(f"{size} inputs from number {index} on, of {len(numbers)}")
+    sources = [row[0] for row in rows]
+    if kind in VECTORS:
+        sources = [sources[0] + i for i in range(4 if kind == ROTATION else 3)]
+    scales = [Rescale(*row[1:]) for row in rows] if kind == SCALED else []
+    rescales = tuple(None if own == ZERO else own for own in scales)
+    name = _string(part["name"])
+    return Input(name, kind, index, tuple(sources), rescales, int(part["lag"]))

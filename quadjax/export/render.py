@@ -2,6 +2,7 @@
 
 import functools
 import re
+import textwrap
 from collections.abc import Iterable
 
 import jax
@@ -9,19 +10,19 @@ import jinja2
 import numpy as np
 
 from quadjax.export.race_source import OwnRace
+from quadjax.export.race_tables import FIELDS
 from quadjax.export.targets import observed_fields
 from quadjax.export.words import FixedPolicy
 from quadjax.race import episode
 
-WIDTH = 100
-LONGEST_NAME = 31  # letters, as the words have it
+WIDTH, INDENT = 100, "    "
 SMALLEST_WIDTH = 16  # of the runtime's buffers: the estimator's inputs
 
 
 @functools.cache
 def environment() -> jinja2.Environment:
     """The templates of this package; fields are written ``${name}``, statements ``{% .. %}``."""
-    found = jinja2.Environment(
+    templates = jinja2.Environment(
         loader=jinja2.PackageLoader("quadjax.export", "templates"),
         variable_start_string="${",
         variable_end_string="}",
@@ -31,8 +32,8 @@ def environment() -> jinja2.Environment:
         undefined=jinja2.StrictUndefined,
         autoescape=False,
     )
-    found.filters |= {"number": "{:g}".format, "short": "{:.3g}".format}
-    return found
+    templates.filters |= {"number": "{:g}".format, "short": "{:.3g}".format}
+    return templates
 
 
 def render(template: str, values: dict[str, object]) -> str:
@@ -59,15 +60,19 @@ def comment(lines: Iterable[str]) -> str:
     )
 
 
-def wrapped(items: Iterable[str], indent: str = "    ") -> str:
-    """Items with commas between them, in lines of at most ``WIDTH`` characters."""
-    lines, line = [], indent
-    for item in items:
-        if len(line) + len(item) + 2 > WIDTH and line.strip():
-            lines.append(line.rstrip())
-            line = indent
-        line += f"{item}, "
-    return "\n".join([*lines, line.rstrip().removesuffix(",")])
+def words_table(name: str, data: bytes) -> str:
+    """Words as a table in C, in lines of at most ``WIDTH`` characters."""
+    words = np.frombuffer(data, "<i4").tolist()
+    items = (str(x) if x > -(2**31) else "(-2147483647 - 1)" for x in words)
+    lines = textwrap.wrap(
+        ", ".join(items),
+        WIDTH,
+        initial_indent=INDENT,
+        subsequent_indent=INDENT,
+        break_on_hyphens=False,
+    )
+    text = "\n".join(lines)
+    return f"static const int32_t {name}[{len(words)}] = {{\n{text}}};\n"
 
 
 def policy_header(policy: FixedPolicy, data: bytes, facts: Iterable[str]) -> str:
@@ -79,23 +84,22 @@ def policy_header(policy: FixedPolicy, data: bytes, facts: Iterable[str]) -> str
         facts: lines about where it comes from.
     """
     box, guard = policy.network.box, policy.name.upper()
-    words = [str(x) if x > -(2**31) else "(-2147483647 - 1)" for x in np.frombuffer(data, "<i4")]
     lines = [f"{policy.name}: a quadcopter racing policy in fixed point, as words for qj.h.", ""]
     lines += [*facts, "", "Inputs, in this order, each within its range:"]
     inputs = zip(box.layout.labels, box.ranges, box.units, strict=True)
     for number, (label, limit, unit) in enumerate(inputs):
         lines.append(f"{number:3d}  {label:<17} +-{limit:g} {unit}")
     lines += ["", "State, as qj_observe takes it; in brackets the range of each number:"]
-    for field in policy.race.fields:
-        ranges = ", ".join(f"{2.0**e:g}" for e in dict.fromkeys(field.exponents))
-        size = f"[{len(field.exponents)}]" if len(field.exponents) > 1 else ""
-        lines.append(f"  {field.name + size:<17} {field.note} (+-{ranges})")
+    for name, exponents in policy.race.fields.items():
+        ranges = ", ".join(f"{2.0**e:g}" for e in dict.fromkeys(exponents))
+        size = f"[{len(exponents)}]" if len(exponents) > 1 else ""
+        lines.append(f"  {name + size:<17} {FIELDS[name][1]} (+-{ranges})")
     lines += ["", "Do not edit: the loader checks the words."]
     return (
         f"/*\n{comment(lines)}\n */\n#ifndef {guard}_H\n#define {guard}_H\n\n"
         "#include <stdint.h>\n\n"
         f'#define {guard}_POLICY_SHA256 "{policy.policy_hash}"\n\n'
-        f"static const int32_t {policy.name}_words[{len(words)}] = {{\n{wrapped(words)}}};\n\n"
+        f"{words_table(f'{policy.name}_words', data)}\n"
         f"#endif /* {guard}_H */\n"
     )
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.export.fixed import FixedNetwork
+from quadjax.export.network import FixedNetwork
 from quadjax.export.race_tables import RaceTables
 from quadjax.export.words import COMMAND_KINDS, OTHER_COMMANDS, STATE_FIELDS
 from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM
@@ -23,7 +23,6 @@ SENSORS = "sensors"  # gyro, specific force and body velocity, of the estimators
 EVERYTHING = (*ANGLES, *ROTORS, "rpm", "thrust", SENSORS)
 ALWAYS = ("position", "velocity", "rates", "last_command")
 RPM, MOTOR, RATES = COMMAND_KINDS["rpm"], COMMAND_KINDS["motor_command"], OTHER_COMMANDS
-UNTESTED = "against stand-ins of the firmware's headers; not on hardware or in the real firmware"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,22 +39,20 @@ class Target:
     calls: float | None = None  # of the pilot, Hz; None: one call a step of the policy
     every_call: bool = True  # a policy that observes no earlier step runs at every call
     as_file: bool = False  # the policy is NAME.qjp; else the table of NAME.h
-    tested: str = UNTESTED
 
 
 PX4_MODULE = "px4/src/modules/quadjax_policy"  # in EXTERNAL_MODULES_LOCATION
-CALLED = "the runtime and its pilot; the call in your firmware is yours"
 BEBOP = (*ANGLES, "rpm", "thrust", SENSORS)
 TARGETS = {
     target.name: target
     for target in (
         Target("cortex-a9", "Cortex-A9", "Paparazzi", "paparazzi", "paparazzi", BEBOP,
                (RPM, RATES), 512.0),
-        Target("cortex-m7", "Cortex-M7", "your firmware", "c", tested=CALLED),
-        Target("cortex-m4", "Cortex-M4", "your firmware", "c", tested=CALLED),
+        Target("cortex-m7", "Cortex-M7", "your firmware", "c"),
+        Target("cortex-m4", "Cortex-M4", "your firmware", "c"),
         Target("indiflight", "Cortex-M7", "INDIflight", "indiflight", "indiflight",
                (*ANGLES, *ROTORS), (MOTOR,), 500.0),
-        Target("qjp", "Cortex-M7", "your firmware", "qjp", as_file=True, tested=CALLED),
+        Target("qjp", "Cortex-M7", "your firmware", "qjp", as_file=True),
         Target("px4", "Cortex-M7", "PX4", PX4_MODULE, "px4", (*ANGLES, *ROTORS), (MOTOR,),
                as_file=True),
         Target("crazyflie", "Cortex-M4", "Crazyflie", "crazyflie/src", "crazyflie", ANGLES,
@@ -94,7 +91,8 @@ def target_of(name: str, model: str) -> Target:
         return dataclasses.replace(TARGETS["cortex-m7"], name=name, processor=target.processor)
     allowed = [own for own in MODELS if kind_of(own) in target.kinds]
     raise InputError(
-        f"--target {name}: the policy's vehicle model is {model!r}, allowed: {', '.join(allowed)}"
+        f"--target {name}: the policy's vehicle model is {model!r}, allowed: {', '.join(allowed)}; "
+        "quadjax train e2e vehicle=5inch trains such a policy"
     )
 
 
@@ -105,7 +103,6 @@ def kind_of(model: str) -> int:
 
 def observed_fields(race: RaceTables) -> set[str]:
     """The fields of the state that an observation is computed from, but for those seen as zero."""
-    names = [(field.name, field.start, len(field.exponents)) for field in race.fields]
     sources = {
         source
         for part in race.inputs
@@ -113,7 +110,11 @@ def observed_fields(race: RaceTables) -> set[str]:
         for source, own in zip(part.sources, part.rescales or (True,) * 4, strict=False)
         if own is not None
     }
-    return {name for name, start, size in names if sources & set(range(start, start + size))}
+    return {
+        name
+        for name, start in race.starts.items()
+        if sources & set(range(start, start + len(race.fields[name])))
+    }
 
 
 def check_target(target: Target, network: FixedNetwork, race: RaceTables) -> None:

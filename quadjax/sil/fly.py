@@ -129,14 +129,19 @@ class _Flight:
             self.applied, self.last = int(message["sequence"]), message
 
 
+def set_floats(state: np.ndarray, numbers: np.ndarray) -> None:
+    """Set all floats of a state's message, in order."""
+    start = 0
+    for name in FLOATS:
+        size = state[name].size
+        state[name] = numbers[start : start + size].reshape(state[name].shape)
+        start += size
+
+
 def _state(now: Now, run: int, number: int, at: float) -> np.ndarray:
     """The message of a state."""
     message = new(Kind.STATE, run, number, at)
-    start = 0
-    for name in FLOATS:
-        size = message[name].size
-        message[name] = now.numbers[start : start + size].reshape(message[name].shape)
-        start += size
+    set_floats(message, now.numbers)
     message["target_gate"] = now.target
     return message
 
@@ -178,7 +183,7 @@ def fly(
     now = world.begin(seed + run)
     there, back = (Channel(faults, seed + run, stream) for stream in (0, 1))
     flight = _Flight(world, peer, timing, run, there, back, resting(world, now))
-    clock, rows, gone = _Clock(world.step, timing.speed), [], None
+    clock, rows, gone = _Clock(world.step, timing.speed), list[np.ndarray](), None
     peer.rejected.clear()
     for number in range(world.limit):
         if now.over or stop.is_set():
@@ -193,8 +198,16 @@ def fly(
         rows.append(np.concatenate([now.true, flight.held, [now.target]]))
         now = world.advance(now, flight.held)
     flight.counts["slow steps"] = clock.slow
-    ended = INTERRUPTED if stop.is_set() else LOST if gone else None
-    return _race(flight, now, np.array(rows), None if now.over else ended, gone, gates)
+    result = world.result(now)
+    if not now.over and (stop.is_set() or gone):
+        result = dataclasses.replace(result, crashes=(INTERRUPTED if stop.is_set() else LOST,))
+    size = len(now.true)
+    parts = np.split(np.reshape(rows, (-1, size + 5)), [3, 6, 9, 12, size, size + 4], axis=1)
+    values = dict(zip((*SIMULATED, "target"), parts, strict=True))
+    ends = (result.lap_times[0], result.crashes[0])
+    name, step = f"run {run + 1}", world.step
+    record = simulated_flight(name, step, values, gates, world.model, *ends)
+    return Race(record, result, _counts(flight), gone)
 
 
 class _Clock:
@@ -216,28 +229,6 @@ class _Clock:
         elif behind < 0:
             time.sleep(-behind)
         return self._start + (number + 1) * self._period
-
-
-def _race(
-    flight: _Flight,
-    now: Now,
-    rows: np.ndarray,
-    ended: str | None,
-    gone: Gone | None,
-    gates: Sequence[GateSection],
-) -> Race:
-    """The record, laps and counts of a race."""
-    world, laps = flight.world, flight.world.result(now)
-    if ended is not None:
-        laps = dataclasses.replace(laps, crashes=(ended,))
-    size = len(now.true)
-    rows = rows.reshape(-1, size + 5)
-    times = laps.lap_times[0]
-    parts = np.split(rows, [3, 6, 9, 12, size, size + 4], axis=1)
-    values = dict(zip((*SIMULATED, "target"), parts, strict=True))
-    name, step = f"run {flight.run + 1}", world.step
-    record = simulated_flight(name, step, values, gates, world.model, times, laps.crashes[0])
-    return Race(record, laps, _counts(flight), gone)
 
 
 def _counts(flight: _Flight) -> dict[str, int]:

@@ -150,24 +150,26 @@ def greeted(
     data, (host, port) = own.recvfrom(BYTES)
     name = f"{host}:{port}"
     try:
-        hello = unpack(data)
+        _check_hello(unpack(data), kind)
     except MessageError as error:
         raise InputError(f"autopilot {name}: first message rejected: {error}") from None
-    if hello["kind"] != Kind.HELLO:
-        raise InputError(f"autopilot {name}: first message is no hello")
-    if hello["command_kind"] != kind:
-        raise InputError(
-            f"autopilot {name}: command_kind {hello['command_kind']}, this drone takes "
-            f"{int(kind)} ({kind.name.lower()})"
-        )
-    if hello["self_test_mismatches"]:
-        raise InputError(f"autopilot {name}: {hello['self_test_mismatches']} self-test mismatches")
     own.connect((host, port))
     peer = Peer(own, name, stop)
     try:
         yield peer
     finally:
         peer.end()
+
+
+def _check_hello(hello: np.ndarray, kind: CommandKind) -> None:
+    """Raise a ``MessageError`` for a message that is no hello for this drone."""
+    if hello["kind"] != Kind.HELLO:
+        raise MessageError("no hello")
+    if hello["command_kind"] != kind:
+        wanted = f"{int(kind)} ({kind.name.lower()})"
+        raise MessageError(f"command_kind {hello['command_kind']}, this drone takes {wanted}")
+    if hello["self_test_mismatches"]:
+        raise MessageError(f"{hello['self_test_mismatches']} self-test mismatches")
 
 
 @contextlib.contextmanager

@@ -18,9 +18,9 @@ from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import provenance
-from quadjax.evaluation.rows import Row
+from quadjax.evaluation.rows import Row, concatenate
 from quadjax.evaluation.table import counted, lap_table
-from quadjax.export.verify.folder import Inputs, read_inputs
+from quadjax.export.folder import Inputs, read_inputs
 from quadjax.flights.files import save
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import plan_race, race_config
@@ -38,17 +38,26 @@ from quadjax.sil.peer import (
     listening,
     running,
 )
-from quadjax.sil.plant_world import PlantWorld
-from quadjax.sil.simulator_world import simulator_world
-from quadjax.sil.source import check_byte_order, header_text, label_of, write_sources
-from quadjax.sil.worlds import World, command_kind
+from quadjax.sil.source import (
+    build_autopilot,
+    check_byte_order,
+    header_text,
+    label_of,
+    words_of,
+)
+from quadjax.sil.worlds import World, command_kind, plant_world, simulator_world
 from quadjax.training.build import untrained_policy
 
 ON_PLANT = ("motor", "rate")  # vehicle models that the stand-in plant has
-STATES_FILE, NUMBERS_FILE, TABLE_FILE, HEADER_FILE = (
-    *("states.npz", "sil.json", "table.txt", "message.h"),
-)
-FILES = (STATES_FILE, NUMBERS_FILE, TABLE_FILE, HEADER_FILE, "flight.html")
+STATES_FILE = "states.npz"
+FILES = (STATES_FILE, "sil.json", "table.txt", "message.h", "flight.html")
+MEANINGS = {  # of counts of the exported C
+    "autopilot: nan steps": " (a number of the state was NaN: the C takes zero)",
+    "autopilot: clipped steps": " (a number of the state was outside the range that NAME.h "
+    "declares: the C takes the end of the range)",
+    "autopilot: outside steps": " (an input of the network was outside its declared range: the C "
+    "takes the end of the range)",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +93,7 @@ class Flown:
 
     setting: Setting
     config: Config
-    world: World
+    drone: str  # its name and control rate
     autopilot: str
     sources: str  # the C that flies; empty for an autopilot of the user
     races: list[Race]
@@ -92,13 +101,7 @@ class Flown:
     @property
     def laps(self) -> Laps:
         """Of all races."""
-        parts = [race.laps for race in self.races]
-        return Laps(
-            np.concatenate([part.lap_times for part in parts]),
-            tuple(crash for part in parts for crash in part.crashes),
-            np.concatenate([part.seconds for part in parts]),
-            parts[0].time_limit,
-        )
+        return concatenate([race.laps for race in self.races])
 
     @property
     def counts(self) -> dict[str, int]:
@@ -106,15 +109,18 @@ class Flown:
         return dict(sum((Counter(race.counts) for race in self.races), Counter()))
 
     def text(self) -> str:
-        """The lap table, the reasons for early ends, and the counts."""
+        """The lap table, the reasons for early ends, and the counts with their meanings."""
         speed = self.setting.timing.speed
         how = "lock-step" if speed is None else f"{speed:g} times real time"
         label = f"{self.autopilot}, {counted(len(self.races), 'run')}"
         lines = [
             lap_table([Row(label, self.laps)]).format(),
             f"C that flies: {self.sources}" if self.sources else "",
-            f"drone: {self.world.name}, {1.0 / self.world.step:g} Hz, {how}",
-            *(f"{name}: {number:,}" for name, number in self.counts.items()),
+            f"drone: {self.drone}, {how}",
+            *(
+                f"{name}: {number:,}{MEANINGS.get(name, '')}"
+                for name, number in self.counts.items()
+            ),
         ]
         return "\n".join(line for line in lines if line)
 
@@ -124,7 +130,7 @@ class Flown:
         return self.laps.to_json() | {
             "autopilot": self.autopilot,
             "sources": self.sources or None,
-            "drone": self.world.name,
+            "drone": self.drone,
             "speed": setting.timing.speed,
             "counts": self.counts,
             "faults": dataclasses.asdict(setting.faults) if setting.faults else None,
@@ -133,13 +139,13 @@ class Flown:
         }
 
     def write(self, folder: Path) -> None:
-        """Write states, numbers, table and the header of the messages."""
+        """Write ``FILES`` but for the page: states, numbers, table, header of the messages."""
         flights, record = [race.flight for race in self.races], self.to_json()
         if any(len(flight.time) for flight in flights):
             save(flights, folder / STATES_FILE, **record)
-        write_json(folder / NUMBERS_FILE, record)
-        write_text(folder / TABLE_FILE, self.text() + "\n")
-        write_text(folder / HEADER_FILE, header_text())
+        write_json(folder / "sil.json", record)
+        write_text(folder / "table.txt", self.text() + "\n")
+        write_text(folder / "message.h", header_text())
 
 
 def make_world(config: Config, policy: Policy, plant: PlantConfig | None, laps: int) -> World:
@@ -163,7 +169,7 @@ def make_world(config: Config, policy: Policy, plant: PlantConfig | None, laps: 
             f"the stand-in plant has no vehicle model {policy.vehicle!r}, allowed: "
             f"{', '.join(ON_PLANT)}; --simulator flies the race's own simulator"
         )
-    return PlantWorld(plan_race(config, plant, policy, lap_count=laps, runs=1, recorded=1))
+    return plant_world(plan_race(config, plant, policy, lap_count=laps, runs=1, recorded=1))
 
 
 def fly_all(
@@ -179,14 +185,21 @@ def fly_all(
     Raises:
         InputError: bad input, no compiler, a port that is taken, or an autopilot that does not
             answer before its first race. One that is gone later is in the last race.
+        KeyboardInterrupt: stopped before the first step.
     """
     check_byte_order()
     enable_compilation_cache()
-    inputs, config, policy = _read(setting)
-    laps = setting.laps or config.evaluate.laps
-    world = make_world(config, policy, setting.plant, laps)
+    inputs = None
+    if setting.source.is_dir() or setting.listen is None:
+        inputs = read_inputs(setting.source, setting.race)
+        config, policy = inputs.config, inputs.policy
+    else:  # the race of a config, with an untrained policy
+        config = load_config(setting.source)
+        policy = untrained_policy(config)
+        config = race_config(config, policy) if setting.plant else config
+    world = make_world(config, policy, setting.plant, setting.laps or config.evaluate.laps)
     races: list[Race] = []
-    with _autopilot(setting, inputs, world, stop, report) as (peer, names):
+    with _autopilot(setting, inputs, world, stop, report) as (peer, autopilot, sources):
         for run in range(setting.runs):
             text = f"run {run + 1} of {setting.runs}"
             report(text)
@@ -198,23 +211,10 @@ def fly_all(
             races.append(fly(world, peer, *options, config.track.gates))
             if stop.is_set() or races[-1].gone:
                 break
-    return Flown(setting, config, world, *names, races)
-
-
-def _compile(world: World, report: Callable[[str], None]) -> None:
-    """Compile the drone, before an autopilot waits for it."""
-    report("compiling")
-    world.advance(world.begin(0), world.ranges()[0].astype(np.float32))
-
-
-def _read(setting: Setting) -> tuple[Inputs | None, Config, Policy]:
-    """The inputs of an exported folder; or the race of a config, with an untrained policy."""
-    if setting.source.is_dir() or setting.listen is None:
-        inputs = read_inputs(setting.source, setting.race)
-        return inputs, inputs.config, inputs.policy
-    config = load_config(setting.source)
-    config = race_config(config, untrained_policy(config)) if setting.plant else config
-    return None, config, untrained_policy(config)
+    if stop.is_set() and not len(races[0].flight.time):
+        raise KeyboardInterrupt
+    drone = f"{world.name}, {1.0 / world.step:g} Hz"
+    return Flown(setting, config, drone, autopilot, sources, races)
 
 
 @contextlib.contextmanager
@@ -224,24 +224,28 @@ def _autopilot(
     world: World,
     stop: threading.Event,
     report: Callable[[str], None],
-) -> Iterator[tuple[Peer, tuple[str, str]]]:
+) -> Iterator[tuple[Peer, str, str]]:
     """The autopilot of a setting, connected; its name, and the C files that fly."""
     kind = command_kind(world.model)
-    if setting.listen is not None:
-        with listening(*setting.listen) as own:
-            _compile(world, report)
-            host, port = own.getsockname()
+
+    def compile_drone() -> None:  # before an autopilot waits for it
+        report("compiling")
+        world.advance(world.begin(0), world.ranges()[0].astype(np.float32))
+
+    with contextlib.ExitStack() as stack:
+        own = stack.enter_context(listening(*(setting.listen or (ADDRESS, 0))))
+        host, port = own.getsockname()
+        if inputs is None or setting.listen is not None:
+            compile_drone()
             report(f"waiting for an autopilot at {host}:{port}")
-            with greeted(own, kind, CONNECT_SECONDS, stop) as peer:
-                yield peer, ("your autopilot", "")
-        return
-    assert inputs is not None
-    with tempfile.TemporaryDirectory() as work, listening(ADDRESS, 0) as own:
-        sources = write_sources(setting.source, inputs, 1.0 / world.step, Path(work))
+            peer = stack.enter_context(greeted(own, kind, CONNECT_SECONDS, stop))
+            yield peer, "your autopilot", ""
+            return
+        work = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         report("building the C")
-        program = sources.build(Path(work))
-        label = label_of(program, setting.source)
-        _compile(world, report)
-        with running(program, own.getsockname()[1]):
-            with greeted(own, kind, START_SECONDS, stop) as peer:
-                yield peer, (label, sources.text)
+        program, sources = build_autopilot(setting.source, inputs, 1.0 / world.step, work)
+        label = label_of(program, words_of(setting.source, inputs))
+        compile_drone()
+        stack.enter_context(running(program, port))
+        peer = stack.enter_context(greeted(own, kind, START_SECONDS, stop))
+        yield peer, label, sources

@@ -1,102 +1,82 @@
 """The exported C of a folder behind the messages, compiled for this machine."""
 
-import dataclasses
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
-
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file
-from quadjax.export.render import render, wrapped
+from quadjax.export.folder import Inputs
+from quadjax.export.read import read_qjp
+from quadjax.export.render import render, words_table
 from quadjax.export.targets import RUNTIME, pilot_options, sources_of, target_of
-from quadjax.export.verify.folder import Inputs
 from quadjax.export.verify.result import Failed, Skipped
-from quadjax.export.verify.toolchain import Compiler, host
+from quadjax.export.verify.toolchain import host
 from quadjax.sil.message import DTYPES, HEADER, HEADER_FIELDS, PAYLOADS, VERSION, Fields, Kind
 from quadjax.sil.worlds import command_kind
 
-HOST = RUNTIME / "host"
 
-
-@dataclasses.dataclass(frozen=True)
-class Sources:
-    """C to compile: files of the export, and files around it."""
-
-    files: tuple[Path, ...]
-    include: Path
-    text: str  # the files that fly, and the autopilot's glue that does not
-    options: tuple[str, ...]  # of the compiler
-
-    def build(self, work: Path, shared: bool = False) -> Path:
-        """Compile the autopilot as a program, or as a shared library without the socket.
-
-        Args:
-            work: a folder for what is built.
-            shared: build a library with ``sil_begin`` and ``sil_step``.
-
-        Raises:
-            InputError: no compiler, or C that does not compile.
-        """
-        output = work / ("autopilot.so" if shared else "autopilot")
-        own = [HOST / "sil.c"] if shared else [HOST / "sil.c", HOST / "process.c"]
-        options = ["-shared", "-fPIC"] if shared else []
-        options += [f"-I{self.include}", f"-I{work}", *self.options]
-        try:
-            compiler = _unchanged_arithmetic(host())
-            return compiler.build([*self.files, *own], output, options)
-        except (Skipped, Failed) as error:
-            raise InputError(f"{self.include}: the C cannot be compiled: {error}") from None
-
-
-def label_of(program: Path, folder: Path) -> str:
-    """The name of an autopilot that is built, for the table.
-
-    Raises:
-        InputError: its pilot refuses the policy.
-    """
-    done = subprocess.run([str(program)], capture_output=True, text=True)
-    if done.stdout.strip():
-        raise InputError(f"{folder}: the policy cannot fly here: {done.stdout.strip()}")
-    return "exported C, its own estimator" if done.returncode else "exported C"
-
-
-def _unchanged_arithmetic(compiler: Compiler) -> Compiler:
-    """The compiler without fused multiplications, so that every machine computes the same."""
-    return dataclasses.replace(compiler, flags=(*compiler.flags, "-ffp-contract=off"))
-
-
-def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sources:
-    """Write the C around the pilot of an exported folder, with what its autopilot measures.
+def build_autopilot(
+    folder: Path, inputs: Inputs, rate: float, work: Path, shared: bool = False
+) -> tuple[Path, str]:
+    """Compile the C of an exported folder with its pilot, and what its autopilot measures.
 
     External moment and force are those of the drone, unless the policy's own estimator runs, which
-    was exported for the rate of the messages.
+    was exported for the rate of the messages. Multiplications are not fused, so that every machine
+    computes the same.
 
     Args:
         folder: of ``quadjax export``.
         inputs: of that folder.
         rate: of the messages, Hz.
-        work: a folder for the files.
+        work: a folder for what is built.
+        shared: build a library with ``sil_begin`` and ``sil_step``, without the socket.
+
+    Returns:
+        The program or library, and the names of the files that fly, with the glue that does not.
 
     Raises:
-        InputError: a C file is missing.
+        InputError: a C file is missing, words that are damaged, no compiler, or C that does not
+            compile.
     """
-    name, model = inputs.options.name, inputs.own.choices.model
+    model, include = inputs.own.choices.model, work / "include"
     target = target_of(inputs.options.target, model.name)
-    files = tuple(folder / file for file in sources_of(target))
-    for path in (*files, folder / f"{name}.qjp"):
+    files, words = [folder / file for file in sources_of(target)], words_of(folder, inputs)
+    for path in files:
         check_file(path)
-    words = np.frombuffer((folder / f"{name}.qjp").read_bytes(), "<i4")
-    body = wrapped(str(x) if x > -(2**31) else "(-2147483647 - 1)" for x in words.tolist())
-    table = f"static const int32_t quadjax_words[{len(words)}] = {{\n{body}}};\n"
-    (work / "quadjax_words.h").write_text(table)
-    (work / "message.h").write_text(header_text(functions=True))
-    text = f"{name}.qjp, {target.folder}/{{{','.join(path.name for path in files)}}}"
-    text += f"; without the glue of {target.autopilot}" if target.glue else ""
-    options = [*pilot_options(target, round(1e9 / rate), disturbances=True)]
-    options.append(f"-DCOMMAND_KIND={int(command_kind(model))}")
-    return Sources(files, folder / target.folder, text, tuple(options))
+    read_qjp(words)
+    include.mkdir()
+    (include / "quadjax_words.h").write_text(words_table("quadjax_words", words.read_bytes()))
+    (include / "message.h").write_text(header_text(functions=True))
+    options = pilot_options(target, round(1e9 / rate), disturbances=True)
+    options += [f"-DCOMMAND_KIND={int(command_kind(model))}", "-ffp-contract=off"]
+    options += [f"-I{folder / target.folder}", f"-I{include}"]
+    names = ("sil.c",) if shared else ("sil.c", "process.c")
+    output = work / ("autopilot.so" if shared else "autopilot")
+    options += ["-shared", "-fPIC"] if shared else []
+    try:
+        host().build([*files, *(RUNTIME / "host" / name for name in names)], output, options)
+    except (Skipped, Failed) as error:
+        raise InputError(f"{folder}: the C cannot be compiled: {error}") from None
+    text = f"{words.name}, {target.folder}/{{{','.join(path.name for path in files)}}}"
+    return output, text + (f"; without the glue of {target.autopilot}" if target.glue else "")
+
+
+def words_of(folder: Path, inputs: Inputs) -> Path:
+    """The file of the policy's words in an exported folder."""
+    return folder / f"{inputs.options.name}.qjp"
+
+
+def label_of(program: Path, words: Path) -> str:
+    """The name of an autopilot that is built, for the table.
+
+    Raises:
+        InputError: its pilot refuses the words of the policy.
+    """
+    done = subprocess.run([str(program)], capture_output=True, text=True)
+    if done.stdout.strip():
+        raise InputError(f"{words}: the policy cannot fly here: {done.stdout.strip()}")
+    return "exported C, its own estimator" if done.returncode else "exported C"
 
 
 def header_text(functions: bool = False) -> str:

@@ -1,11 +1,13 @@
-"""What a simulated drone is that an autopilot can fly, and what it shows.
+"""The drones that an autopilot can fly: the stand-in plant, or the simulator of the race.
 
-A world is two pure functions of a state: its start, and a control step under a command that is
-held. Both also give what the autopilot observes, and the true motion for the record.
+A world is pure functions of a state: its start, and a control step under a command that is held.
+Both also give what the autopilot observes, and the true motion for the record.
 """
 
 import dataclasses
-from typing import Any, Protocol
+import functools
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,10 +17,15 @@ from flax import struct
 from quadjax.core import quaternion
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.race.laps import Laps
+from quadjax.plant import flight, plant
+from quadjax.plant.flight import Drones, Plan
+from quadjax.policy.pilot import command_ranges
+from quadjax.race import environment, laps
+from quadjax.race.environment import Choices, RaceParams
+from quadjax.race.laps import Laps, LapState
 from quadjax.race.track import Track
-from quadjax.sil.message import CommandKind
-from quadjax.vehicle.protocol import VehicleModel
+from quadjax.sil.message import RPM_PER_RAD_S, CommandKind
+from quadjax.vehicle.protocol import Measurement, VehicleModel
 
 KINDS = {  # of the vehicle models' commands
     "motor": CommandKind.ROTOR_SPEEDS_RAD_S,
@@ -26,6 +33,7 @@ KINDS = {  # of the vehicle models' commands
     "racing": CommandKind.MOTORS_0_TO_1,
     "a2rl": CommandKind.MOTORS_0_TO_1,
 }
+Motion = tuple[Vec3, Vec3, Vec3, Vec3]  # position, velocity, Euler angles, rates
 
 
 def command_kind(model: VehicleModel) -> CommandKind:
@@ -64,64 +72,191 @@ class Now:
     @classmethod
     def of(cls, state: Any, seen: Seen) -> "Now":
         """The arrays on the host."""
-        shown = jax.device_get(seen)
-        return cls(state, shown.numbers, int(shown.target), shown.true, bool(shown.over))
+        on_host = jax.device_get(seen)
+        numbers, true = on_host.numbers, on_host.true
+        return cls(state, numbers, int(on_host.target), true, bool(on_host.over))
 
 
-class World(Protocol):
-    """A simulated drone in a race."""
+@dataclasses.dataclass(frozen=True)
+class World:
+    """A simulated drone in a race.
 
-    @property
-    def name(self) -> str:
-        """For the result."""
+    Attributes:
+        name: for the result.
+        choices: of the race.
+        params: of the race.
+        step: of the control loop, s.
+        limit: control steps, after which a race is out of time.
+        begin: a race before its first step, of a seed.
+        advance: one control step later under a command (4,), in the model's units.
+        result: the laps of the race so far.
+    """
+
+    name: str
+    choices: Choices
+    params: RaceParams
+    step: float
+    limit: int
+    begin: Callable[[int], Now]
+    advance: Callable[[Now, np.ndarray], Now]
+    result: Callable[[Now], Laps]
 
     @property
     def model(self) -> VehicleModel:
         """Of the commands."""
-
-    @property
-    def step(self) -> float:
-        """Of the control loop, s."""
-
-    @property
-    def limit(self) -> int:
-        """Control steps, after which a race is out of time."""
+        return self.choices.model
 
     def ranges(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest command (4,), in the model's units."""
-
-    def begin(self, seed: int) -> Now:
-        """A race before its first step."""
-
-    def advance(self, now: Now, command: np.ndarray) -> Now:
-        """One control step later under a command (4,), in the model's units."""
-
-    def result(self, now: Now) -> Laps:
-        """The laps of the race so far."""
+        return command_ranges(self.choices, self.params)
 
 
-def scaled(rotors: Rotors, factor: float) -> Rotors:
-    """Rotor speeds in another unit."""
+def _seen(
+    track: Track,
+    target: jax.Array,
+    over: jax.Array,
+    motion: Motion,
+    measured: Measurement,
+    rotors: Rotors,
+    thrust: jax.Array,
+    disturbance: tuple[Vec3, Vec3],
+    true: Any,
+) -> Seen:
+    """Numbers of a message from the estimated motion, and the true motion with the actuators."""
+    position, velocity, euler, rates = motion
+    center = jax.tree.map(lambda x: x[target], track.position)
+    parts = (
+        *(position, velocity, measured.body_velocity, euler, quaternion.of_euler(euler), rates),
+        *(rotors, thrust, measured.gyro, measured.specific_force, *disturbance),
+        *(center, track.yaw[target]),
+    )
+    numbers = jnp.stack([jnp.asarray(x, jnp.float32) for x in jax.tree.leaves(parts)])
+    return Seen(numbers, target, jnp.stack(jax.tree.leaves(true)), over)
+
+
+def _scaled(rotors: Rotors, factor: float) -> Rotors:
     return jax.tree.map(lambda x: x * jnp.float32(factor), rotors)
 
 
-def numbers(
-    position: Vec3,
-    velocity: Vec3,
-    body_velocity: Vec3,
-    euler: Vec3,
-    rates: Vec3,
-    rotors: Rotors,
-    thrust: jax.Array,
-    gyro: Vec3,
-    specific_force: Vec3,
-    moment: Vec3,
-    force: Vec3,
-    track: Track,
-    target: jax.Array,
-) -> jax.Array:
-    """The floats of ``message.STATE_FIELDS``, in order."""
-    center = jax.tree.map(lambda x: x[target], track.position)
-    parts = (position, velocity, body_velocity, euler, quaternion.of_euler(euler), rates, rotors)
-    more = (thrust, gyro, specific_force, moment, force, center, track.yaw[target])
-    return jnp.stack([jnp.asarray(x, jnp.float32) for x in jax.tree.leaves((parts, more))])
+# ---- stand-in plant ------------------------------------------------------------------------------
+
+
+def plant_world(plan: Plan) -> World:
+    """The stand-in plant with its sensors and estimators.
+
+    A race begins at hover at the last gate, with drawn battery, gusts and sensors.
+    """
+
+    def begin(seed: int) -> Now:
+        start, key = jax.random.split(jax.random.key(seed))
+        state, seen = _begin_on_plant(plan, start)
+        return Now.of((state, key), seen)
+
+    def advance(now: Now, command: np.ndarray) -> Now:
+        state, key = now.state
+        state, key, seen = _advance_plant(plan, state, command, key)
+        return Now.of((state, key), seen)
+
+    def result(now: Now) -> Laps:
+        step, limit = float(plan.plant.step), plan.limit * plan.step
+        return laps.laps_of(plan.choices, now.state[0].race, step, limit)
+
+    numbers = (plan.choices, plan.race, plan.step, plan.limit)
+    return World("stand-in plant", *numbers, begin, advance, result)
+
+
+@jax.jit
+def _begin_on_plant(plan: Plan, key: jax.Array) -> tuple[Drones, Seen]:
+    drones = flight.begin(plan, key)
+    return drones, _see_plant(plan, drones)
+
+
+@jax.jit
+def _advance_plant(
+    plan: Plan, drones: Drones, command: jax.Array, key: jax.Array
+) -> tuple[Drones, jax.Array, Seen]:
+    key, own = jax.random.split(key)
+    low, _ = plan.choices.model.command_range(plan.race.vehicle.constants)
+    held = jax.tree.unflatten(jax.tree.structure(low), [x[None] for x in command])
+    drones, _ = flight.hold(plan, drones, held, own)
+    return drones, key, _see_plant(plan, drones)
+
+
+def _see_plant(plan: Plan, drones: Drones) -> Seen:
+    one = jax.tree.map(lambda x: x[..., 0], drones)
+    own, body = one.onboard, one.plant.physics.body
+    now, measured = own.estimate.motion, own.estimate.measurement
+    rate_level = plan.choices.model.name == "rate"
+    force = plant.truth_of(plan.plant, one.plant).specific_force
+    actuators = -force.z if rate_level else body.actuators
+    return _seen(
+        *(plan.race.track, one.race.state.target, one.race.over),
+        *((now.position, now.velocity, now.euler, now.rates), measured),
+        _scaled(measured.rpm, 1.0 / RPM_PER_RAD_S),
+        own.inner.thrust if rate_level else jnp.zeros(()),
+        (now.moment_ext, now.force_ext),
+        (body.position, body.velocity, body.euler, body.rates, actuators),
+    )
+
+
+# ---- simulator -----------------------------------------------------------------------------------
+
+
+def simulator_world(choices: Choices, params: RaceParams, lap_count: int) -> World:
+    """The simulator of a race, by the exact rules of timed laps; the state is known exactly.
+
+    A race begins at hover before the first gate, with drawn disturbances.
+    """
+    params = environment.exact_rules(choices.model, params)
+    low, high = (np.float32(end) for end in command_ranges(choices, params))
+    step = float(params.rules.time_step)
+
+    def begin(seed: int) -> Now:
+        key = jax.random.key(seed)
+        return Now.of(*_begin_in_simulator(choices, lap_count, params, key))
+
+    def advance(now: Now, command: np.ndarray) -> Now:
+        action = 2.0 * (command - low) / (high - low) - np.float32(1.0)
+        return Now.of(*_advance_simulator(choices, params, now.state, action))
+
+    def result(now: Now) -> Laps:
+        return laps.laps_of(choices, now.state, step, laps.time_limit(params.track, lap_count))
+
+    limit = laps.step_limit(params, lap_count)
+    return World("simulator", choices, params, step, limit, begin, advance, result)
+
+
+@functools.partial(jax.jit, static_argnames=("choices", "lap_count"))
+def _begin_in_simulator(
+    choices: Choices, lap_count: int, params: RaceParams, key: jax.Array
+) -> tuple[LapState, Seen]:
+    state = laps.starting_states(choices, params, key, 1, from_hover=True)
+    race = laps.begin(state, lap_count)
+    return race, _see_simulator(choices, params, race)
+
+
+@functools.partial(jax.jit, static_argnames="choices")
+def _advance_simulator(
+    choices: Choices, params: RaceParams, race: LapState, action: jax.Array
+) -> tuple[LapState, Seen]:
+    one = functools.partial(laps.advance, choices, params, action=action)
+    race = jax.vmap(one, -1, -1)(race)
+    return race, _see_simulator(choices, params, race)
+
+
+def _see_simulator(choices: Choices, params: RaceParams, race: LapState) -> Seen:
+    one, model = jax.tree.map(lambda x: x[..., 0], race), choices.model
+    drone, zero = one.state.drone, jnp.zeros(())
+    disturbance = drone.disturbance if model.disturbed else (Vec3.zero(), Vec3.zero())
+    if one.state.estimate is not None:
+        disturbance = one.state.estimate.moment, one.state.estimate.force
+    actuators, has_rotors = drone.actuators, model.actuators.size == 4
+    unit = 1.0 / RPM_PER_RAD_S if model.actuators.unit == "rpm" else 1.0
+    motion = (drone.position, drone.velocity, drone.angles, drone.rates)
+    return _seen(
+        *(params.track, one.state.target, one.over),
+        *(motion, model.measure(params.vehicle, drone)),
+        _scaled(actuators, unit) if has_rotors else Rotors.same(zero),
+        zero if has_rotors else actuators,
+        *(disturbance, (motion, actuators)),
+    )

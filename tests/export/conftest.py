@@ -3,14 +3,14 @@
 import pytest
 
 from quadjax.export import flights
-from tests.export.support import export_of, observed_rollouts, random_rollouts
+from tests.export.support import export_of, random_rollouts
 
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory):
     """The folder of a motor-level policy, with random states in place of those of flights."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(flights, "simulate", observed_rollouts)
+        patch.setattr(flights, "simulate", random_rollouts)
         return export_of(tmp_path_factory.mktemp("motor"), "motor")
 
 

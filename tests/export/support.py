@@ -11,18 +11,19 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.resources import CONFIGS
-from quadjax.export import flights
-from quadjax.export.battery_tables import make_battery
+from quadjax.export import flights, race_source
+from quadjax.export.battery import make_battery
 from quadjax.export.cases import make_cases
 from quadjax.export.convert import export_c
-from quadjax.export.fixed import FixedNetwork, convert
+from quadjax.export.network import FixedNetwork, convert
 from quadjax.export.race_source import OwnRace
-from quadjax.export.race_tables import make_tables, state_sizes, track_ranges
+from quadjax.export.race_tables import make_tables, state_sizes
+from quadjax.export.ranges import track_ranges
 from quadjax.export.targets import TARGETS
 from quadjax.export.verify.build import Library, Sources
 from quadjax.export.words import FixedPolicy, pack
 from quadjax.policy.file import Policy, layout_of_release_1
-from quadjax.policy.pilot import command_ranges
+from quadjax.policy.race import race_of_policy
 from quadjax.race.laps import Laps
 from quadjax.race.observations import HIGHEST_RPM, fields_of
 from quadjax.training.build import build_networks, policy_of
@@ -93,6 +94,12 @@ def made_residual(rng: np.random.Generator, gain: float = 1.0) -> Residual:
 
     ends = [np.float32(x) for x in (3000.0, 11000.0, -1.0)]
     return Residual(network(7, 1, 0.1), network(10, 3, 0.002), *ends)
+
+
+def own_race(policy, config=None, track=None):
+    """The race of a policy, or of a config."""
+    found, origin = race_of_policy(policy, config=config, track=track)
+    return race_source.own_race(found, policy, origin)
 
 
 TRACK = """\
@@ -174,15 +181,6 @@ def untrained(config: Config) -> Policy:
         return np.float32(scale * rng.standard_normal(x.shape))
 
     return policy_of(config, jax.tree.map(weights, shapes), {})
-
-
-def observed_rollouts(own: OwnRace) -> flights.Rollouts:
-    """States that a race may meet, and their observations, in place of those of flights."""
-    rows = random_rollouts(own)
-    low, high = (np.array(jax.tree.leaves(end)) for end in command_ranges(own.choices, own.params))
-    states = random_states(np.random.default_rng(0), 50, own, low, high)
-    observations = flights.observe(own, states, rows.targets)
-    return dataclasses.replace(rows, observations=observations, states=states)
 
 
 def random_rollouts(own: OwnRace, velocity: float = 1.0) -> flights.Rollouts:

@@ -1,6 +1,5 @@
 """The estimator of the highest propeller speed in fixed point: bounds, bits of the C, on board."""
 
-import ctypes
 import dataclasses
 import functools
 from fractions import Fraction
@@ -12,22 +11,21 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.config.race import build_vehicle
 from quadjax.core.errors import InputError
-from quadjax.export import battery_emulator, emulator
-from quadjax.export.battery_emulator import FINE, Memory
-from quadjax.export.battery_tables import FINE_BITS, make_battery, update_error
-from quadjax.export.conversion import Options, convert_policy
-from quadjax.export.fixed import convert
+from quadjax.export import emulator
+from quadjax.export.battery import FINE_BITS, make_battery, update_error
+from quadjax.export.estimator_emulator import FINE, Battery, estimate_highest
 from quadjax.export.flights import Rollouts
 from quadjax.export.integers import enable_x64, quantize
+from quadjax.export.network import convert
 from quadjax.export.race_source import check_race, own_race
 from quadjax.export.verify import measurements
 from quadjax.race import environment
-from quadjax.sil.message import RPM_PER_RAD_S, Kind, new
+from quadjax.sil.message import RPM_PER_RAD_S
 from quadjax.sil.run import make_world
-from quadjax.sil.source import label_of, write_sources
+from quadjax.sil.source import build_autopilot, label_of
 from quadjax.vehicle.battery import limit_estimator, middle_limit
 from tests.export.support import fixed_policy, library, untrained
-from tests.sil.test_exported import FLOATS, written
+from tests.sil.test_exported import command_of, loaded, written
 
 BATTERY, UNDISTURBED = "battery.charge=[0.1, 1.0]", "observation.disturbance=none"
 NOTHING = Rollouts(*(np.zeros((0, 1)),) * 3)
@@ -54,8 +52,8 @@ def made():
 def test_it_is_the_reference_in_float64(rate):
     rng, first = np.random.default_rng(0), 10300.0
     tables = make_battery(constants(), first, rate)
-    log = measurements.full_power_bursts(rng, constants(), rate, min(8.0, 8_000 / rate))[None]
-    found = battery_emulator.run(tables, log)
+    log = measurements.full_power_bursts(rng, constants(), rate, min(8.0, 8_000 / rate))
+    found = estimate_highest(tables, log)
     exact = measurements.highest_float64(constants(), first, log, rate)
     assert np.abs(found - exact).max() < 1e-3
     assert np.ptp(found) > 100.0
@@ -71,7 +69,10 @@ def random_memory(rng, tables, count):
     limited = np.where(rng.random((count, 4)) < 0.4, one, rng.integers(0, one + 1, (count, 4)))
     ends = rng.integers(tables.lowest, tables.highest + 1, count)
     highest = np.where(rng.random(count) < 0.3, tables.highest, ends)
-    return Memory(speed, expected, limited, highest)
+    memory = Battery(tables, np.zeros((count, 8), np.float32))
+    memory.speed, memory.expected = speed, expected
+    memory.limited, memory.highest = limited, highest
+    return memory
 
 
 def random_samples(rng, tables, count):
@@ -109,7 +110,7 @@ def test_one_sample_is_within_its_bound_from_any_memory(rate):
     memory, samples = random_memory(rng, tables, 400), random_samples(rng, tables, 400)
     q = quantize(samples, tables.exponents)
     exact = [exact_update(memory, q, numbers, tables, row) for row in range(400)]
-    battery_emulator.update(tables, memory, samples)
+    memory.update(samples)
     for part in (memory.speed, memory.expected, memory.limited - (1 << FINE_BITS - 1)):
         assert np.abs(part).max() <= 1 << FINE_BITS  # as the proof claims
     assert tables.lowest <= memory.highest.min() <= memory.highest.max() <= tables.highest
@@ -128,7 +129,7 @@ def test_the_c_has_the_bits_of_the_emulator(tmp_path):
     log = np.concatenate([bursts, random_samples(rng, tables, 500), bursts])
     for samples in (log, bursts[200:]):  # the second one after a reset
         found = c.highest_rpm(samples)
-        assert np.array_equal(found, battery_emulator.run(tables, samples[None])[0])
+        assert np.array_equal(found, estimate_highest(tables, samples))
     assert np.ptp(found) > 50.0
 
 
@@ -143,14 +144,9 @@ def test_what_cannot_be_exported_is_one_line(tmp_path):
     policy, own, _ = made()
     with pytest.raises(InputError, match="battery is null, and policy observes highest_rpm; give"):
         own_race(load_config("e2e"), policy, "e2e")
-    other = load_config("e2e", ["battery.charge=[0.5, 0.6]"])
-    policy.save(tmp_path / "policy.npz")
+    other = own_race(load_config("e2e", ["battery.charge=[0.5, 0.6]"]), policy, "config")
     with pytest.raises(InputError, match="trained in another race.*: battery.*in training"):
-        check_race(policy, own_race(other, policy, "config"), tmp_path / "policy.npz")
-    with pytest.raises(InputError, match="target px4: the policy's vehicle model is 'motor'"):
-        convert_policy(
-            policy, own, Options("made", target="px4"), "policy", tmp_path / "policy.npz", NOTHING
-        )
+        check_race(policy, other, tmp_path / "policy.npz")
 
 
 def on_board(folder, rate):
@@ -173,24 +169,16 @@ def test_the_c_on_board_observes_what_the_simulator_does(tmp_path):
     """Commands of the C, and of the policy with the simulator's estimate, step by step."""
     inputs = on_board(tmp_path, 100.0)
     world = make_world(inputs.config, inputs.policy, None, 1)
-    sources = write_sources(tmp_path, inputs, 100.0, tmp_path)
-    library = ctypes.CDLL(str(sources.build(tmp_path, shared=True)))
-    assert library.sil_load() == 0
-    library.sil_begin()
+    library, _ = loaded(tmp_path, inputs, 100.0)
     policy, own, _ = made()
     observe = jax.jit(functools.partial(environment.observe, world.choices))
     network = convert(policy, {"position": 32.0})
     now, apart, limits = begun(world), [], []
     for number in range(150):
-        state, command = new(Kind.STATE, time_s=number / 100.0), new(Kind.COMMAND)
-        values = np.split(now.numbers, np.cumsum([state[name].size for name in FLOATS])[:-1])
-        for name, value in zip(FLOATS, values, strict=True):
-            state[name] = value.reshape(state[name].shape)
-        library.sil_step(*(x.ctypes.data_as(ctypes.c_void_p) for x in (state, command)))
+        sent = np.float32(command_of(library, number / 100.0, now.numbers) * RPM_PER_RAD_S)
         race = jax.tree.map(lambda x: x[..., 0], now.state.state)
         limits.append(float(race.battery.estimate.highest))
         seen = np.asarray(observe(world.params, race))[None]
-        sent = np.float32(command["command"] * RPM_PER_RAD_S)
         apart.append(np.abs(sent - emulator.commands(network, seen)[0]).max())
         if now.over:
             break
@@ -202,6 +190,6 @@ def test_the_c_on_board_observes_what_the_simulator_does(tmp_path):
 @pytest.mark.slow
 def test_sil_refuses_an_estimator_of_another_rate(tmp_path):
     inputs = on_board(tmp_path, 512.0)
-    sources = write_sources(tmp_path, inputs, 100.0, tmp_path)
+    program, _ = build_autopilot(tmp_path, inputs, 100.0, tmp_path)
     with pytest.raises(InputError, match="cannot fly here: .*the highest rpm is for another rate"):
-        label_of(sources.build(tmp_path), tmp_path)
+        label_of(program, tmp_path / "made.qjp")

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
-from quadjax.core.errors import InputError
-from quadjax.export import flights, race_emulator
+from quadjax.export import emulator, flights
 from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.convert import export_c
-from quadjax.export.fixed import convert
 from quadjax.export.race_source import own_race
+from quadjax.export.states import observe
 from quadjax.export.verify import run
 from quadjax.export.verify.result import FAILED, PASSED
 from tests.export.support import fixed_policy, library, random_states, untrained
@@ -58,7 +57,7 @@ def converted_in(folder, policy, own, target, rate=500.0):
     rng = np.random.default_rng(0)
     states = random_states(rng, 20, own, policy.command_low, policy.command_high)
     targets = np.arange(20) % len(own.params.track.yaw)
-    rows = flights.Rollouts(flights.observe(own, states, targets), states, targets)
+    rows = flights.Rollouts(observe(own, states, targets), states, targets)
     options = Options("made", {"position": 32.0}, sample_rate=rate, target=target)
     path = folder / "policy.npz"
     converted = convert_policy(policy, own, options, path.name, path, rows)
@@ -82,13 +81,13 @@ def fixed(name):
 def test_the_inputs_of_the_c_are_those_of_the_environment(name, tmp_path):
     own, policy, states, targets = fixed(name)
     network = policy.network
-    observed = race_emulator.observe(policy.race, states, targets)
-    assert not (observed.clipped | observed.nan | observed.outside).any()
-    found = observed.q / 2.0**30 * network.box.ranges
-    error = np.abs(found - flights.observe(own, states, targets))
+    q, status = emulator.observe(policy.race, states, targets)
+    assert not status.any()
+    found = q / 2.0**30 * network.box.ranges
+    error = np.abs(found - observe(own, states, targets))
     assert error.max() < 2e-5 and np.abs(found).max(axis=0).min() > 0
     rows = library(policy, tmp_path).observe(states, targets)
-    np.testing.assert_array_equal(rows[:, :-3], observed.q)
+    np.testing.assert_array_equal(rows[:, :-3], q)
 
 
 @pytest.mark.slow
@@ -105,13 +104,3 @@ def test_an_exported_folder_passes_its_verification(name, tmp_path):
     results = {r.check: r for r in run.verify(out, 1000, only=only)}
     assert all(r.verdict != FAILED for r in results.values()), results
     assert all(results[name].verdict == PASSED for name in only[:3])
-
-
-def test_a_field_without_c_is_refused():
-    policy, own = made("published racing")
-    layout = dataclasses.replace(policy.layout, fields=(*policy.layout.fields[:-1],))
-    assert own.choices.model.name == "racing" and layout.size == 19
-    unknown = dataclasses.replace(policy.layout.fields[-1], name="temperature")
-    layout = dataclasses.replace(layout, fields=(*layout.fields, unknown))
-    with pytest.raises(InputError, match="observes 'temperature'.*which has no C; supported: "):
-        convert(dataclasses.replace(policy, layout=layout))

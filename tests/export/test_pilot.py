@@ -14,10 +14,10 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_bytes
-from quadjax.export import emulator, race_emulator
-from quadjax.export.actor import fixed_point_fly
+from quadjax.export import emulator
 from quadjax.export.conversion import Options
 from quadjax.export.convert import export_c
+from quadjax.export.emulator import fixed_point_fly
 from quadjax.export.race_source import own_race
 from quadjax.export.targets import PX4_MODULE, TARGETS, check_target, target_of
 from quadjax.export.verify.build import Sources, load_library
@@ -243,7 +243,11 @@ def rows_of(rng, count, rate):
 
 def expected(converted, rows):
     """Commands (n, 4) float32 of NumPy along the steps of one race."""
-    race, network, unit = converted.race, converted.network, 2.0**-converted.network.fraction_bits
+    race, network, unit = (
+        converted.fixed.race,
+        converted.fixed.network,
+        2.0**-converted.fixed.network.fraction_bits,
+    )
     ends = (network.command_low, network.command_high)
     states, found, last = [], [], np.float32((ends[0] + ends[1]) * unit / 2)
     target, before = np.zeros(1, int), None
@@ -251,17 +255,17 @@ def expected(converted, rows):
         values = {"position": row[:3], "velocity": row[3:6], "euler": row[6:9], "rates": row[9:12],
                   "quaternion": quaternion_of(row[6:9]), "rotor_speed": row[12:],
                   "thrust": row[12:13], "last_command": last}  # fmt: skip
-        states.append(np.concatenate([values[field.name] for field in race.fields]))
+        states.append(np.concatenate([values[name] for name in race.fields]))
         all_ = np.float32(states)
         now = np.int64(
             np.trunc(np.float32(row[:3]).astype(float) * 2.0 ** (30 - race.exponents[0]))
         )[None]
         if before is not None:
-            event = race_emulator.gate_event(race, before, now, target)
-            target = (target + (event == race_emulator.PASSED)) % race.gates
+            event = emulator.gate_event(race, before, now, target)
+            target = (target + (event == emulator.PASSED)) % race.gates
         before = now
-        q = race_emulator.observe(race, all_, np.full(len(all_), target[0])).q[-1:]
-        last = np.float32(emulator.forward_q(network, q)[0] * np.float32(unit))
+        q = emulator.observe(race, all_, np.full(len(all_), target[0]))[0][-1:]
+        last = np.float32(emulator.forward_rows(network, q)[0, :4] * np.float32(unit))
         found.append(last)
     return np.array(found)
 
@@ -281,7 +285,7 @@ def test_commands_are_those_of_numpy(glue):
 
 @every
 def test_numbers_of_any_bits_give_commands_in_range(glue):
-    network, rng = glue.converted.network, np.random.default_rng(3)
+    network, rng = glue.converted.fixed.network, np.random.default_rng(3)
     with np.errstate(all="ignore"):
         bits = rng.integers(0, 2**32, (500, 16), dtype=np.uint32).view(np.float32)
         bits[:, 12:] = rng.uniform(-1e8, 1e8, (500, 4))
@@ -347,7 +351,7 @@ def test_a_changed_weight_does_not_fly(name, tmp_path):
 def flown(policy, own, glue, runs=4, lap_count=2):
     """The same starts in the simulator with NumPy's integers in JAX, and through the glue."""
     choices, params = own.choices, environment.exact_rules(own.choices.model, own.params)
-    ranges = glue.converted.network.box.declared
+    ranges = glue.converted.fixed.network.box.declared
     actor, pilot = fixed_point_fly(policy, ranges), own.pilot
     one = functools.partial(laps.advance, choices, params)
     advance = jax.jit(jax.vmap(one, in_axes=(-1, 0), out_axes=-1))
@@ -390,15 +394,16 @@ def test_policies_that_an_autopilot_cannot_fly_are_refused(tmp_path):
     with pytest.raises(
         InputError, match="crazyflie: the policy observes rotor_speed, which Crazyf"
     ):
-        check_target(TARGETS["crazyflie"], converted.network, converted.race)
+        check_target(TARGETS["crazyflie"], converted.fixed.network, converted.fixed.race)
     flies = converted_in(tmp_path / "flies", *without_rotors(), "crazyflie")
-    check_target(TARGETS["crazyflie"], flies.network, flies.race)
-    uneven = dataclasses.replace(flies.race, time_step=0.0105)
+    network = flies.fixed.network
+    check_target(TARGETS["crazyflie"], network, flies.fixed.race)
+    uneven = dataclasses.replace(flies.fixed.race, time_step=0.0105)
     with pytest.raises(InputError, match="time step is 0.0105 s, allowed: whole milliseconds"):
-        check_target(TARGETS["crazyflie"], flies.network, uneven)
-    uneven = dataclasses.replace(flies.race, time_step=0.003)
+        check_target(TARGETS["crazyflie"], network, uneven)
+    uneven = dataclasses.replace(flies.fixed.race, time_step=0.003)
     with pytest.raises(InputError, match="time step is 0.003 s, allowed: whole periods of 512"):
-        check_target(dataclasses.replace(TARGETS["cortex-m7"], calls=512.0), flies.network, uneven)
+        check_target(dataclasses.replace(TARGETS["cortex-m7"], calls=512.0), network, uneven)
     for target in ("px4", "indiflight", "crazyflie"):
         with pytest.raises(
             InputError, match=f"--target {target}: .*'motor', allowed: racing, a2rl"

@@ -11,7 +11,6 @@ from quadjax.sil.faults import Channel, Faults, parse_nan
 from quadjax.sil.message import (
     DTYPES,
     HEADER,
-    RPM_PER_RAD_S,
     Kind,
     MessageError,
     new,
@@ -37,6 +36,8 @@ def test_a_message_comes_back_as_it_was_sent():
 
 def test_every_flipped_bit_and_every_other_length_is_rejected():
     data = pack(new(Kind.COMMAND))
+    with pytest.raises(MessageError, match="version 2, allowed: 1"):
+        unpack(data[:4] + b"\2" + data[5:])
     for bit in range(8 * len(data)):
         damaged = bytearray(data)
         damaged[bit // 8] ^= 1 << bit % 8
@@ -47,13 +48,6 @@ def test_every_flipped_bit_and_every_other_length_is_rejected():
             unpack(data[:length])
     with pytest.raises(MessageError):
         unpack(data + b"\0")
-
-
-def test_another_version_is_named():
-    data = bytearray(pack(new(Kind.HELLO)))
-    data[4] = 2
-    with pytest.raises(MessageError, match="version 2, allowed: 1"):
-        unpack(bytes(data))
 
 
 def test_the_c_header_has_the_fields_where_the_messages_have_them(tmp_path):
@@ -109,7 +103,3 @@ def test_a_wrong_nan_option_is_one_line():
             parse_nan([text])
     with pytest.raises(InputError, match="position has two"):
         parse_nan(["position=0.1", "velocity=0.1", "position=0.2"])
-
-
-def test_a_turn_per_second_is_60_rpm():
-    assert abs(RPM_PER_RAD_S * 2.0 * 3.141592653589793 - 60.0) < 1e-12

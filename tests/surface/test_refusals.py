@@ -21,6 +21,7 @@ FILES = {
     "notes.txt": "a text",
     "empty.csv": "",
     "short.csv": "time,rate_p\n0.0,0.1\n",
+    "words.qjp": "",
     "code.py": "def term(step):\n    return 0.0\n",
 }
 ROWS = """
@@ -96,9 +97,13 @@ export e2e --output notes.txt | notes.txt
 export e2e --output out --target avr | avr cortex-a9
 export e2e --output out --range nosuch=4 | nosuch
 export e2e --output out --range position=-1 | position
+export e2e --output= | --output
+export e2e --output out --target px4 | px4 motor racing vehicle=5inch
 verify nosuch | nosuch
 verify notes.txt | notes.txt
-sil nosuch | nosuch
+sil nosuch | nosuch --listen
+sil e2e | e2e export
+sil words.qjp | words.qjp folder
 import e2e notes.txt --output new.npz | notes.txt
 import e2e bytes.npz --output new.npz | bytes.npz
 show nosuch | nosuch

@@ -6,7 +6,6 @@ import functools
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,9 +23,6 @@ from quadjax.export.verify.toolchain import (
     zig_thumb,
 )
 from quadjax.export.words import COMMANDS, FixedPolicy
-
-if TYPE_CHECKING:
-    pass  # needs packages of an extra
 
 HOST = RUNTIME / "host"
 VEHICLE = np.dtype(  # qj_vehicle
@@ -235,7 +231,7 @@ def sizes_of(elf: Path) -> tuple[int, int]:
 def vehicles(policy: FixedPolicy, states: np.ndarray) -> np.ndarray:
     """States (n, state_size) as ``qj_vehicle``; zeros for what the policy lacks."""
     found = np.zeros(len(states), VEHICLE)
-    for field in policy.race.fields:
-        if field.name in VEHICLE.names:
-            found[field.name] = states[:, field.start : field.start + len(field.exponents)]
+    for name, start in policy.race.starts.items():
+        if name in (VEHICLE.names or ()):
+            found[name] = states[:, start : start + len(policy.race.fields[name])]
     return found

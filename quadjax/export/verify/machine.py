@@ -90,10 +90,6 @@ class Machine:
         self._free += -(-max(size, 1) // 64) * 64
         return address
 
-    def release(self) -> None:
-        """Free everything that was placed or reserved."""
-        self._free = HEAP
-
     def read(self, address: int, dtype: type, shape: tuple[int, ...]) -> np.ndarray:
         """Copy an array out of the machine."""
         size = int(np.prod(shape)) * np.dtype(dtype).itemsize

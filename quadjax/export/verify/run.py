@@ -8,10 +8,10 @@ from pathlib import Path
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
+from quadjax.export.folder import read_folder
 from quadjax.export.read import read_qjp
 from quadjax.export.targets import TARGETS
 from quadjax.export.verify.checks import CHECKS, OF_A_FILE, Context
-from quadjax.export.verify.folder import read_folder
 from quadjax.export.verify.result import Result, run_check
 from quadjax.export.words import pack
 
@@ -52,15 +52,16 @@ def verify(
             or a name in ``only`` that is no check; nothing is compiled.
     """
     enable_compilation_cache()
-    path, folder = Path(path), None
+    path, converted, files = Path(path), None, None
     if path.suffix == ".qjp":
-        fixed, names = read_qjp(path), OF_A_FILE
-        words, target, files, text = pack(fixed), TARGETS["qjp"], None, "1 file"
+        fixed, names, target = read_qjp(path), OF_A_FILE, TARGETS["qjp"]
+        words, text = pack(fixed), "1 file"
     else:
-        folder, names = read_folder(path, config), tuple(CHECKS)
-        fixed, words, target = folder.fixed, folder.words, folder.target
-        files = {name: data for name, data in folder.files().items() if "/" in name}
-        text = f"{len(folder.files())} files as the converter writes them"
+        converted, names = read_folder(path, config), tuple(CHECKS)
+        fixed, words, target = converted.fixed, converted.words, converted.target
+        every = converted.files()
+        files = {name: data for name, data in every.items() if "/" in name}
+        text = f"{len(every)} files as the converter writes them"
     unknown = [name for name in only or () if name not in names]
     if unknown:
         raise InputError(f"check {unknown[0]!r}: no such check, allowed: {', '.join(names)}")
@@ -68,8 +69,8 @@ def verify(
     results = [run_check(FILES, lambda: text)]
     report(results[0])
     with tempfile.TemporaryDirectory() as work:
-        context = Context(fixed, words, target, files, Path(work), vectors, folder, runs)
-        context.allow_unfinished, context.allow_other_race = allow_unfinished, allow_other_race
+        sources = (fixed, words, target, files, Path(work), vectors, converted)
+        context = Context(path, *sources, runs, allow_unfinished, allow_other_race)
         for name in (name for name in names if only is None or name in only):
             announce(name)
             results.append(run_check(name, functools.partial(CHECKS[name], context)))

@@ -17,12 +17,9 @@ WARNINGS = (
     "-Wstrict-prototypes -Wnested-externs -Wredundant-decls -Wswitch-default -Wundef "
     "-Wwrite-strings -Wformat-security -Wvla -Wdouble-promotion -Wfloat-equal"
 ).split()
-BEBOP = (
-    "-mfloat-abi=softfp -mfpu=vfp -march=armv7-a -mtune=cortex-a8 -O3 -std=gnu99 -static".split()
-)
+BEBOP = "-mfloat-abi=softfp -mfpu=vfp -march=armv7-a -mtune=cortex-a8 -O3 -std=gnu99 -static"
 ZIG = (
-    "-target arm-freestanding-eabihf -mcpu=cortex_a9 -O3 -std=c99 -nostdlib -fno-sanitize=all "
-    "-Wl,--image-base=0x10000 -Wl,--no-gc-sections"
+    "-O3 -std=c99 -nostdlib -fno-sanitize=all -Wl,--image-base=0x10000 -Wl,--no-gc-sections"
 ).split()
 # Betaflight's and INDIflight's flags for STM32F7 and H7, and those of the Crazyflie's STM32F405.
 FPU = {"Cortex-M7": ("fp_armv8d16sp", "fpv5-sp-d16"), "Cortex-M4": ("vfp4d16sp", "fpv4-sp-d16")}
@@ -58,14 +55,6 @@ def has_module(name: str) -> bool:
     return importlib.util.find_spec(name) is not None
 
 
-def need_program(name: str) -> str:
-    """The path of a program, or ``Skipped``."""
-    path = shutil.which(name)
-    if path is None:
-        raise Skipped(f"no {name} on this machine")
-    return path
-
-
 def host() -> Compiler:
     """The host's C compiler: cc, gcc, clang, or the one that pip installs."""
     for name in ("cc", "gcc", "clang"):
@@ -77,32 +66,43 @@ def host() -> Compiler:
     raise Skipped("no C compiler on this machine; pip install ziglang")
 
 
-def zig_arm(neon: bool) -> Compiler:
-    """The compiler that pip installs, for a Cortex-A9 without an operating system."""
+def zig(target: str, cpu: str) -> Compiler:
+    """The compiler that pip installs, for a processor without an operating system.
+
+    Args:
+        target: arm or thumb.
+        cpu: with the units that it has.
+    """
     if not has_module("ziglang"):
         raise Skipped("no ziglang; pip install 'quadjax[verify]'")
-    flags = ZIG if neon else [f.replace("cortex_a9", "cortex_a9-neon") for f in ZIG]
-    command = (sys.executable, "-m", "ziglang", "cc")
-    return Compiler("zig cc", command, tuple(flags))
+    flags = (f"-target {target}-freestanding-eabihf -mcpu={cpu}".split(), ZIG)
+    return Compiler("zig cc", (sys.executable, "-m", "ziglang", "cc"), tuple(sum(flags, [])))
+
+
+def zig_arm(neon: bool) -> Compiler:
+    """The compiler that pip installs, for a Cortex-A9."""
+    return zig("arm", "cortex_a9" if neon else "cortex_a9-neon")
 
 
 def zig_thumb(processor: str) -> Compiler:
     """The compiler that pip installs, for a Cortex-M7 or M4 with an FPU of single precision."""
-    flags = [flag.replace("arm-free", "thumb-free") for flag in zig_arm(neon=True).flags]
-    cpu = f"{processor.lower().replace('-', '_')}+{FPU[processor][0]}"
-    flags[flags.index("-mcpu=cortex_a9")] = f"-mcpu={cpu}"
-    return dataclasses.replace(zig_arm(neon=True), flags=tuple(flags))
+    return zig("thumb", f"{processor.lower().replace('-', '_')}+{FPU[processor][0]}")
+
+
+def gcc(name: str, program: str, flags: str) -> Compiler:
+    """A GCC on the path, for another processor."""
+    if shutil.which(program) is None:
+        raise Skipped(f"no {program} on this machine")
+    return Compiler(name, (program,), tuple(flags.split()))
 
 
 def arm_none_eabi(processor: str) -> Compiler:
     """GCC for a Cortex-M7 or M4, as firmware is built with it."""
-    need_program("arm-none-eabi-gcc")
     cpu = f"-mthumb -mcpu={processor.lower()} -mfloat-abi=hard -mfpu={FPU[processor][1]}"
-    flags = f"{cpu} -fsingle-precision-constant -O2 -std=gnu99".split()
-    return Compiler("gcc arm-none-eabi", ("arm-none-eabi-gcc",), tuple(flags))
+    flags = f"{cpu} -fsingle-precision-constant -O2 -std=gnu99"
+    return gcc("gcc arm-none-eabi", "arm-none-eabi-gcc", flags)
 
 
 def bebop() -> Compiler:
     """GCC with the flags that Paparazzi builds the Bebop with."""
-    need_program("arm-linux-gnueabi-gcc")
-    return Compiler("gcc armel", ("arm-linux-gnueabi-gcc",), tuple(BEBOP))
+    return gcc("gcc armel", "arm-linux-gnueabi-gcc", BEBOP)

@@ -1,36 +1,19 @@
-"""An exported folder, read back: the conversion repeated from the inputs in it."""
+"""The folder of an export read back: the conversion is repeated from the inputs in it."""
 
 import dataclasses
 from pathlib import Path
 
-import numpy as np
-
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.files import check_file, read_json, read_npz
+from quadjax.core.files import check_file, read_json
 from quadjax.core.folders import check_kind
 from quadjax.export.conversion import Converted, Options, convert_policy, sha256, symbol_name
-from quadjax.export.convert import (
-    KIND,
-    POLICY_FILE,
-    ROLLOUTS_ARRAYS,
-    ROLLOUTS_FILE,
-    ROLLOUTS_FORMAT,
-)
-from quadjax.export.flights import Rollouts
+from quadjax.export.convert import KIND, POLICY_FILE, REPORT, report_text
 from quadjax.export.race_source import CONFIG_FILE, OwnRace, own_race
-from quadjax.export.race_tables import state_sizes
-from quadjax.export.report import report_text
+from quadjax.export.read import read_qjp
 from quadjax.export.targets import find_target
 from quadjax.policy.file import Policy
-
-
-@dataclasses.dataclass(frozen=True)
-class Folder(Converted):
-    """An exported folder: the conversion repeated from the inputs in it."""
-
-    path: Path
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,9 +42,9 @@ def read_inputs(path: Path, config: Config | Path | str | None = None) -> Inputs
     check_kind(path, KIND)
     if not path.is_dir():
         raise InputError(f"{path}: no such folder")
-    reports = sorted(path.glob("*_report.json"))
+    reports = sorted(path.glob(f"*{REPORT}"))
     if len(reports) != 1:
-        raise InputError(f"{path}: expected one *_report.json, found {len(reports)}")
+        raise InputError(f"{path}: expected one *{REPORT}, found {len(reports)}")
     options, file, text, config_hash = _read_report(reports[0])
     policy = Policy.load(path / POLICY_FILE)
     check_file(path / CONFIG_FILE)
@@ -75,7 +58,7 @@ def read_inputs(path: Path, config: Config | Path | str | None = None) -> Inputs
     return Inputs(options, policy, config, own, file, text)
 
 
-def read_folder(path: Path, config: Config | Path | str | None = None) -> Folder:
+def read_folder(path: Path, config: Config | Path | str | None = None) -> Converted:
     """Read an exported folder, convert its policy again, and compare the files with the result.
 
     Args:
@@ -87,10 +70,10 @@ def read_folder(path: Path, config: Config | Path | str | None = None) -> Folder
             converter writes.
     """
     inputs = read_inputs(path, config)
-    policy, own, options, file = inputs.policy, inputs.own, inputs.options, inputs.file
-    rollouts = _rollouts(path / ROLLOUTS_FILE)
-    _check_shapes(rollouts, policy, own, path / ROLLOUTS_FILE)
-    converted = convert_policy(policy, own, options, file, path / POLICY_FILE, rollouts)
+    policy, own, options = inputs.policy, inputs.own, inputs.options
+    cases = read_qjp(path / f"{options.name}.qjp").cases
+    policy_file = path / POLICY_FILE
+    converted = convert_policy(policy, own, options, inputs.file, policy_file, cases=cases)
     report = {f"{options.name}_report.txt": inputs.text.encode("utf-8")}
     for name, content in (converted.files() | report).items():
         check_file(path / name)
@@ -99,8 +82,7 @@ def read_folder(path: Path, config: Config | Path | str | None = None) -> Folder
                 f"{path / name}: not what the converter writes for this policy and race; nothing "
                 "is compiled"
             )
-    fields = (field.name for field in dataclasses.fields(Converted))
-    return Folder(**{name: getattr(converted, name) for name in fields}, path=path)
+    return converted
 
 
 def _read_report(path: Path) -> tuple[Options, str, str, str]:
@@ -116,26 +98,3 @@ def _read_report(path: Path) -> tuple[Options, str, str, str]:
     except Exception as error:  # of any type, because the values can be anything
         raise InputError(f"{path}: not a report of quadjax export ({error!r:.200})") from error
     return dataclasses.replace(options, ranges=ranges, **numbers), file, text, config_hash
-
-
-def _rollouts(path: Path) -> Rollouts:
-    arrays, _ = read_npz(path, ROLLOUTS_FORMAT, ROLLOUTS_ARRAYS)
-    missing = [name for name in ROLLOUTS_ARRAYS if name not in arrays]
-    if missing:
-        raise InputError(f"{path}: {missing[0]} is missing")
-    return Rollouts(*(arrays[name] for name in ROLLOUTS_ARRAYS))
-
-
-def _check_shapes(rows: Rollouts, policy: Policy, own: OwnRace, path: Path) -> None:
-    """Raise an ``InputError`` for rollouts that do not fit the policy and its track."""
-    parts = (rows.observations, rows.states, rows.targets)
-    count, size = (
-        rows.targets.size,
-        sum(state_sizes(own.choices.layout, own.choices.model).values()),
-    )
-    wanted = [(count, policy.layout.size), (count, size), (count,)]
-    fits = count > 0 and [part.shape for part in parts] == wanted
-    fits = fits and [part.dtype.kind for part in parts] == ["f", "f", "i"]
-    gates = len(own.params.track.yaw)
-    if not fits or not np.all((0 <= rows.targets) & (rows.targets < gates)):
-        raise InputError(f"{path}: its arrays do not fit the policy")

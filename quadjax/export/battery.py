@@ -15,41 +15,18 @@ commands become integers of 2^-30 of their range. The memory is kept in fine uni
 """
 
 import dataclasses
-import math
 
 import jax.numpy as jnp
 
 from quadjax.core.errors import InputError
-from quadjax.export.estimator_tables import speed_exponent
-from quadjax.export.integers import INPUT_BITS, enable_x64
+from quadjax.export.disturbances import product_fits, speed_exponent
+from quadjax.export.integers import INPUT_BITS, SPLIT, Rescale, enable_x64
 from quadjax.vehicle.battery import LOWEST, limit_estimator
 from quadjax.vehicle.motor import MotorConstants
 
 FINE_BITS = 40  # the range of the speeds is 2^40 fine units
 MOTORS = 4
-SPLIT = 16  # a long product is made of an upper part and 16 lower bits
-ROOM = 62  # every sum and every product stays below 2^62
-
-
-@dataclasses.dataclass(frozen=True)
-class Factor:
-    """The real number ``value / 2**shift``."""
-
-    value: int  # 2^29 to 2^30
-    shift: int
-
-    @property
-    def wrong(self) -> float:
-        """The largest rounding error of the number."""
-        return 2.0 ** -(self.shift + 1)
-
-    @property
-    def rounding(self) -> float:
-        """The largest rounding error of a product with it, in its last bit."""
-        return 0.5 + 2.0 ** (SPLIT - self.shift)
-
-
-LIMITED = Factor(1 << INPUT_BITS, INPUT_BITS)  # the largest of ``limited``, Q30
+LIMITED = Rescale(0, 1 << INPUT_BITS, INPUT_BITS)  # the largest of ``limited``, Q30
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,9 +35,9 @@ class BatteryTables:
 
     sample_rate: float  # Hz
     exponent: int  # of the range of the speeds and commands, rpm
-    low_pass: Factor  # k
-    lead: Factor
-    gain: Factor
+    low_pass: Rescale  # k, of fine units as ``integers.scaled``
+    lead: Rescale
+    gain: Rescale
     lowest: int  # fine units, of the estimate
     highest: int  # fine units, of the estimate: the highest command
     first: int  # fine units, the estimate after a reset
@@ -98,9 +75,9 @@ def make_battery(
     tables = BatteryTables(
         sample_rate=sample_rate,
         exponent=exponent,
-        low_pass=_factor(float(exact.low_pass)),
-        lead=_factor(float(exact.lead)),
-        gain=_factor(float(exact.gain)),
+        low_pass=Rescale.of(0.0, float(exact.low_pass)),
+        lead=Rescale.of(0.0, float(exact.lead)),
+        gain=Rescale.of(0.0, float(exact.gain)),
         lowest=lowest,
         highest=highest,
         first=min(max(round(first_rpm / unit), lowest), highest),
@@ -109,71 +86,32 @@ def make_battery(
     return tables
 
 
-def _factor(number: float) -> Factor:
-    shift = 30 - math.frexp(number)[1]
-    return Factor(round(number * 2.0**shift), shift)
-
-
 def prove_battery(tables: BatteryTables) -> None:
     """Prove that no measurement and no command can overflow the estimator.
 
     ``k`` is at most one, so that a low-pass stays between its past and its input, whatever is
     rounded: speeds and expected speeds stay within their range, ``limited`` in [0, 1]. The estimate
-    is held to its limits. The sums and products of one sample follow from that.
+    is held to its limits. The sums and products of one sample follow from that, by bits as the C
+    proves it on board.
 
     Raises:
-        InputError: a sum or product that may reach 2^62.
+        InputError: a number that is not allowed, or a sum or product that may reach 2^62.
     """
-    k = tables.low_pass
-    full, error = 1 << FINE_BITS, _largest_error(tables)
-    _check_numbers(tables)
-    total = MOTORS * (error + 1)
-    step = (total * tables.gain.value >> tables.gain.shift) + 1
-    products = (
-        *((2 * full, k), (2 * full, tables.lead)),
-        *((error, LIMITED), (total, tables.gain)),
-    )
-    largest = max([((x >> SPLIT) + 1) * (f.value + 1) for x, f in products] + [total + step + full])
-    if largest >= 1 << ROOM or k.value > 1 << k.shift:
-        raise InputError(
-            "estimator of the highest rpm: its sums may reach "
-            f"2^{math.log2(largest):.1f}, allowed: below 2^{ROOM}; the motors are too slow"
-        )
-
-
-def _check_numbers(tables: BatteryTables) -> None:
-    """What the C checks on board.
-
-    Raises:
-        InputError: a number that is not allowed.
-    """
-
-    def fits(value: int, factor: int) -> bool:
-        size = abs(factor)
-        bits = ((value >> SPLIT) + 1).bit_length() + (size + 1).bit_length()
-        return bits <= ROOM and 16 + size.bit_length() <= ROOM
-
-    full = 1 << FINE_BITS
-    factors = (tables.low_pass, tables.lead, tables.gain)
-    fine = all(0 <= f.value <= 1 << 30 and 17 <= f.shift <= 60 for f in factors)
-    fine = fine and tables.low_pass.value <= 1 << tables.low_pass.shift
+    full, factors = 1 << FINE_BITS, (tables.low_pass, tables.lead, tables.gain)
+    fine = all(0 <= f.factor <= 1 << 30 and 17 <= f.shift <= 60 for f in factors)
+    fine = fine and tables.low_pass.factor <= 1 << tables.low_pass.shift
     fine = fine and 0 <= tables.lowest <= tables.first <= tables.highest <= full
     fine = fine and abs(tables.exponent) <= 30 and tables.sample_rate > 0.0
     if fine:
-        lead = (2 * full >> SPLIT) * tables.lead.value >> (tables.lead.shift - SPLIT)
+        lead = (2 * full >> SPLIT) * tables.lead.factor >> (tables.lead.shift - SPLIT)
         error = 2 * full + 2 + lead + 1
-        fine = fits(error, 1 << 30) and fits(4 * (error + 1), tables.gain.value)
+        fine = product_fits(error, 1 << 30)
+        fine = fine and product_fits(MOTORS * (error + 1), tables.gain.factor)
     if not fine:
         raise InputError(
             "estimator of the highest rpm: its sums may reach 2^62, allowed: below 2^62; "
             "the motors are too slow"
         )
-
-
-def _largest_error(tables: BatteryTables) -> int:
-    """The largest difference of a speed, with its lead, to the expected one, in fine units."""
-    full = 1 << FINE_BITS
-    return 2 * full + (2 * full * tables.lead.value >> tables.lead.shift) + 2
 
 
 def update_error(tables: BatteryTables) -> float:
@@ -182,12 +120,19 @@ def update_error(tables: BatteryTables) -> float:
     From any one memory that the estimator can have and any integers of speeds and commands: what
     is rounded in one sample, and the rounding of the factors.
     """
-    full, k, lead = float(1 << FINE_BITS), tables.low_pass, tables.lead
-    error = float(_largest_error(tables))
-    moved = k.rounding + 2.0 * full * k.wrong  # of a low-pass
-    wrong = moved + lead.rounding + 2.0 * full * lead.wrong
+    full, k, lead, gain = float(1 << FINE_BITS), tables.low_pass, tables.lead, tables.gain
+    error = 2.0 * full + (2 * (1 << FINE_BITS) * lead.factor >> lead.shift) + 2.0
+
+    def wrong(factor: Rescale) -> float:
+        return 2.0 ** -(factor.shift + 1)  # rounding of the factor itself
+
+    def rounding(factor: Rescale) -> float:
+        return 0.5 + 2.0 ** (SPLIT - factor.shift)  # of a product with it, in its last bit
+
+    moved = rounding(k) + 2.0 * full * wrong(k)  # of a low-pass
+    off = moved + rounding(lead) + 2.0 * full * wrong(lead)
     weight = moved / full + 2.0**-INPUT_BITS  # of ``limited``, cut to Q30
-    product = wrong + error * weight + wrong * weight + LIMITED.rounding
-    gain = tables.gain.value / 2.0**tables.gain.shift + tables.gain.wrong
-    total = MOTORS * (gain * product + error * tables.gain.wrong) + tables.gain.rounding
+    product = off + error * weight + off * weight + rounding(LIMITED)
+    real = gain.factor / 2.0**gain.shift + wrong(gain)
+    total = MOTORS * (real * product + error * wrong(gain)) + rounding(gain)
     return 1.001 * total * tables.unit

@@ -13,16 +13,18 @@ the gain at rest is one without rounding::
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.signal import butter, lfilter
 
 from quadjax.core.errors import InputError
-from quadjax.export.fixed import FixedLayer, convert_hidden, largest_power
-from quadjax.export.integers import INPUT_BITS, ONE
-from quadjax.export.scaling import Rescale, rescale
+from quadjax.export.integers import INPUT_BITS, ONE, SPLIT, Rescale
+from quadjax.export.network import FixedLayer, convert_hidden, largest_power
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.residual import Residual
+
+Layer = tuple[np.ndarray, np.ndarray]  # kernel and bias
 
 MODEL_BITS, DIFFERENCE_BITS = 14, 10  # of a monomial's constant beyond the fine unit's
 FINE_BITS = 46  # a channel's range is 2^46 fine units
@@ -94,21 +96,28 @@ def make_estimator(
             thousandth and a quarter of it; constants that leave no room for the proof.
     """
     check_cutoff(sample_rate, cutoff)
-    rpm_exponent = speed_exponent(float(constants.rpm_max))
     exponents = (GYRO_EXPONENT,) * 3 + (FORCE_EXPONENT,) * 3
-    exponents += (rpm_exponent,) * 4 + (VELOCITY_EXPONENT,) * 3
+    exponents += (speed_exponent(float(constants.rpm_max)),) * 4 + (VELOCITY_EXPONENT,) * 3
     a1, a2 = _feedback(sample_rate, cutoff)
     units = monomial_units(exponents)
     model, differentiated = _model(constants), _differentiated(constants) * 2.0 * sample_rate
-    channels = _channel_exponents(model, differentiated, units, residual, sample_rate, cutoff)
-    fine = np.ldexp(1.0, np.array(channels) - FINE_BITS)
+    largest, (straight, derivative) = units * monomial_bounds(), filter_gains(sample_rate, cutoff)
+    bounds = np.abs(model) @ largest
+    outputs = straight * bounds
+    outputs[:3] += derivative * (np.abs(differentiated) @ largest)
+    if residual is not None:
+        # What the residual adds is held to half the range: room for it before and after the filter.
+        bounds, outputs = 2.0 * bounds, outputs / (1.0 - 0.5 * straight)
+    channels = tuple(math.ceil(math.log2(1.01 * x)) for x in np.maximum(bounds, outputs))
+    fine = np.ldexp(1.0, np.array(channels) - FINE_BITS)[:, None]
+    change = differentiated * units / fine[:3]
     tables = EstimatorTables(
         sample_rate=sample_rate,
         cutoff=cutoff,
         exponents=exponents,
         channel_exponents=channels,
-        model=_integers(model * units / fine[:, None], MODEL_BITS),
-        differentiated=_integers(differentiated * units / fine[:3, None], DIFFERENCE_BITS),
+        model=np.rint(model * units / fine * 2.0**MODEL_BITS).astype(np.int64),
+        differentiated=np.rint(change * 2.0**DIFFERENCE_BITS).astype(np.int64),
         a1=a1,
         a2=a2,
         gain=(1 << Q30) + a1 + a2,
@@ -146,8 +155,12 @@ def check_cutoff(sample_rate: float, cutoff: float) -> None:
         )
 
 
-def _integers(coefficients: np.ndarray, bits: int) -> np.ndarray:
-    return np.rint(coefficients * 2.0**bits).astype(np.int64)
+def _sums(tables: EstimatorTables) -> list[tuple[int, int]]:
+    """Of each channel: bounds of the sum of its model and of what is differentiated."""
+    bounds = monomial_bounds().astype(object)
+    sums, changes = (np.abs(rows.astype(object)) @ bounds
+                     for rows in (tables.model, tables.differentiated))  # fmt: skip
+    return list(zip(map(int, sums), [*map(int, changes), 0, 0, 0], strict=True))
 
 
 def prove_estimator(tables: EstimatorTables) -> None:
@@ -156,27 +169,25 @@ def prove_estimator(tables: EstimatorTables) -> None:
     Raises:
         InputError: a channel of which a sum may reach 2^63.
     """
-    bounds = monomial_bounds().astype(object)
-    sums = np.abs(tables.model.astype(object)) @ bounds
-    changes = np.abs(tables.differentiated.astype(object)) @ bounds
     straight, derivative = filter_gains(tables.sample_rate, tables.cutoff)
-    for index, name in enumerate(CHANNELS):
-        x = (int(sums[index]) >> MODEL_BITS) + 2
-        d = (int(changes[index]) >> DIFFERENCE_BITS) + 2 if index < len(changes) else 0
-        if tables.thrust is not None:
-            x += RESIDUAL_LIMIT
+    for name, (total, change) in zip(CHANNELS, _sums(tables), strict=True):
+        x = (total >> MODEL_BITS) + 2 + (RESIDUAL_LIMIT if tables.thrust is not None else 0)
+        d = (change >> DIFFERENCE_BITS) + 2 if change else 0
         y = straight * x + derivative * d
         # The memory is at most what one more sample and three products can make of it.
-        checks = (
-            max(int(sums[index]), int(changes[index]) if d else 0),
-            ((x + d) >> 16) * tables.gain,
-            int(8.0 * (y + x + d)),
-        )
-        if max(checks) >= 2**62 or y >= 2.0**FINE_BITS:
+        largest = max(total, change, ((x + d) >> SPLIT) * tables.gain, int(8.0 * (y + x + d)))
+        if largest >= 2**ROOM or y >= 2.0**FINE_BITS:
             raise InputError(
-                f"estimator channel {name}: its sums may reach 2^{math.log2(max(checks)):.1f}, "
-                "allowed: below 2^62; take a lower cut-off"
+                f"estimator channel {name}: its sums may reach 2^{math.log2(largest):.1f}, "
+                f"allowed: below 2^{ROOM}; take a lower cut-off"
             )
+
+
+def product_fits(value: int, factor: int) -> bool:
+    """Whether ``integers.scaled`` of any value up to this one stays below 2^62, by bits."""
+    size = abs(int(factor))
+    upper = ((value >> SPLIT) + 1).bit_length() + (size + 1).bit_length()
+    return upper <= ROOM and SPLIT + size.bit_length() <= ROOM
 
 
 def prove_terms(tables: EstimatorTables) -> None:
@@ -185,26 +196,20 @@ def prove_terms(tables: EstimatorTables) -> None:
     Raises:
         InputError: a sum or a product that may.
     """
-
-    def fits(a: int, b: int) -> bool:
-        return int(a).bit_length() + int(b).bit_length() <= ROOM
-
-    def scaled_fits(value: int, factor: int) -> bool:
-        size = abs(int(factor))
-        return fits((value >> 16) + 1, size + 1) and fits(0xFFFF, size)
-
-    largest, sums, fine = [int(x) for x in monomial_bounds()], [], True
-    for row in (*tables.model, *tables.differentiated):
-        fine &= all(fits(abs(int(w)), m) for w, m in zip(row, largest, strict=True) if w)
-        sums.append(sum(abs(int(w)) * m for w, m in zip(row, largest, strict=True)))
-    for index, total in enumerate(sums[: len(CHANNELS)]):
-        change = sums[len(CHANNELS) + index] if index < 3 else 0
+    bits = [int(bound).bit_length() for bound in monomial_bounds()]
+    fine = all(
+        abs(int(factor)).bit_length() + size <= ROOM
+        for row in (*tables.model, *tables.differentiated)
+        for factor, size in zip(row, bits, strict=True)
+        if factor
+    )
+    for total, change in _sums(tables):
         x, d = (total >> MODEL_BITS) + 2 + RESIDUAL_LIMIT, (change >> DIFFERENCE_BITS) + 2
         fine &= max(total, change) < 2**ROOM and x + d < 2 ** (ROOM - 3)
-        fine &= scaled_fits(2 * (x + d), tables.gain)
-    fine &= all(scaled_fits(1 << FINE_BITS, factor) for factor in (tables.a1, tables.a2))
+        fine &= product_fits(2 * (x + d), tables.gain)
+    fine &= all(product_fits(1 << FINE_BITS, factor) for factor in (tables.a1, tables.a2))
     if not fine:
-        raise InputError("estimator: its sums may reach 2^62; take a lower cut-off")
+        raise InputError(f"estimator: its sums may reach 2^{ROOM}; take a lower cut-off")
 
 
 def _feedback(sample_rate: float, cutoff: float) -> tuple[int, int]:
@@ -251,65 +256,42 @@ def filter_gains(sample_rate: float, cutoff: float) -> tuple[float, float]:
     return straight, derivative
 
 
-def _channel_exponents(
-    model: np.ndarray,
-    differentiated: np.ndarray,
-    units: np.ndarray,
-    residual: Residual | None,
-    sample_rate: float,
-    cutoff: float,
-) -> tuple[int, ...]:
-    """Bounds of the filters' inputs and outputs."""
-    largest = units * monomial_bounds()
-    straight, derivative = filter_gains(sample_rate, cutoff)
-    bounds = np.abs(model) @ largest
-    outputs = straight * bounds
-    outputs[:3] += derivative * (np.abs(differentiated) @ largest)
-    if residual is not None:
-        # What the residual adds is held to half the range: room for it before and after the filter.
-        bounds, outputs = 2.0 * bounds, outputs / (1.0 - 0.5 * straight)
-    return tuple(math.ceil(math.log2(1.01 * x)) for x in np.maximum(bounds, outputs))
-
-
 def _with_residual(tables: EstimatorTables, residual: Residual) -> EstimatorTables:
     low, high = float(residual.rpm_min), float(residual.rpm_max)
     exponent = tables.exponents[6]
     reach = max(abs(2.0 * s * 2.0**exponent - low - high) / (high - low) for s in (-1, 1))
     network = math.ceil(math.log2(reach))
-    unit = ONE / 2.0**exponent
-    rpm_input = rescale(0.5 * (low + high) * unit, 2.0 / (high - low) * 2.0 ** (exponent - network))
+    middle, factor = 0.5 * (low + high), 2.0 / (high - low)
     ranges = np.ldexp(1.0, np.array([network] * 4 + list(tables.exponents[10:])))
     rates = np.ldexp(1.0, np.array(tables.exponents[:3]))
-    channels = tables.channel_exponents
-    sign = float(residual.thrust_sign)
+    channels, sign = tables.channel_exponents, float(residual.thrust_sign)
     return dataclasses.replace(
         tables,
-        rpm_input=rpm_input,
+        rpm_input=Rescale.of(middle * (ONE / 2.0**exponent), factor * 2.0 ** (exponent - network)),
         thrust=_network("thrust", residual.thrust, ranges, channels[5:], sign),
         moment=_network("moment", residual.moment, np.append(ranges, rates), channels[:3], 1.0),
     )
 
 
 def _network(
-    name: str, layers: tuple, ranges: np.ndarray, channels: tuple[int, ...], sign: float
+    name: str,
+    layers: Sequence[Layer],
+    ranges: np.ndarray,
+    channels: tuple[int, ...],
+    sign: float,
 ) -> FixedResidual:
-    layers = [(np.asarray(k), np.asarray(b)) for k, b in layers]
-    hidden = convert_hidden(layers[:-1], ranges)
-    kernel = sign * layers[-1][0].astype(np.float64).T
-    bias = sign * layers[-1][1].astype(np.float64)
+    arrays = [(np.asarray(kernel), np.asarray(bias)) for kernel, bias in layers]
+    hidden, scale, magnitude = convert_hidden(arrays[:-1], ranges)
+    kernel, bias = (sign * values.astype(np.float64).T for values in arrays[-1])
     weights, biases, shifts = [], [], []
     for row, exponent in enumerate(channels):
-        total = math.fsum([abs(bias[row]), *np.abs(kernel[row]) * hidden.magnitude])
-        if not math.isfinite(total):
-            raise InputError(f"{name} network, row {row}: its range is not finite")
-        largest = float(np.max(np.abs(kernel[row]) * hidden.scale))
-        power = min(largest_power(total, largest), FINE_BITS - exponent + 30)
-        weights.append(np.rint(kernel[row] * hidden.scale * 2.0**power).astype(np.int64))
+        total, power = largest_power(name, row, kernel[row], bias[row], scale, magnitude)
+        power = min(power, FINE_BITS - exponent + 30)
+        weights.append(np.rint(kernel[row] * scale * 2.0**power).astype(np.int64))
         biases.append(round(float(bias[row]) * 2.0**power))
         shifts.append(power - (FINE_BITS - exponent))
         if shifts[-1] < 1:
             raise InputError(f"{name} network, row {row}: outputs up to {total:.3g} are too large")
-    output = FixedLayer(
-        np.array(weights), np.array(biases, np.int64), np.ldexp(1.0, np.array(channels) - FINE_BITS)
-    )
-    return FixedResidual(hidden.layers, output, tuple(shifts))
+    units = np.ldexp(1.0, np.array(channels) - FINE_BITS)
+    output = FixedLayer(np.array(weights), np.array(biases, np.int64), units)
+    return FixedResidual(hidden, output, tuple(shifts))

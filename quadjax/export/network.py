@@ -24,7 +24,6 @@ from quadjax.policy.file import Policy
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import MODELS
 
-FORMAT_VERSION = 1
 LARGEST_HIDDEN = 2**INPUT_BITS - 1
 LARGEST_WEIGHT = 2**31 - 1
 # Scales leave this many units of headroom, and one per column, for the rounding of weights.
@@ -55,11 +54,6 @@ class FixedNetwork:
     model: VehicleModel
 
     @property
-    def rpm(self) -> bool:
-        """Whether the commands are propeller speeds, which the C gives as integers."""
-        return commands_rpm(self.model)
-
-    @property
     def unit(self) -> str:
         """The units of the commands."""
         return " and ".join(dict.fromkeys(signal.unit for signal in self.model.commands))
@@ -80,11 +74,6 @@ class FixedNetwork:
         return (*self.hidden, self.output)
 
 
-def commands_rpm(model: VehicleModel) -> bool:
-    """Whether all commands of a vehicle model are propeller speeds."""
-    return all(signal.unit == "rpm" for signal in model.commands)
-
-
 def check_policy(policy: Policy) -> None:
     """Check that the format can represent a policy.
 
@@ -100,18 +89,16 @@ def check_policy(policy: Policy) -> None:
             "unsupported in fixed point, allowed: ['relu']"
         )
     for index, (kernel, bias) in enumerate(policy.layers):
-        for row in range(kernel.shape[1]):
-            values = np.append(kernel[:, row], bias[row])
-            bad = values[~np.isfinite(values)]
-            if bad.size:
-                raise InputError(f"layer {index}, row {row}: {bad[0]} is not a finite weight")
-    if commands_rpm(MODELS[policy.vehicle]) and not (
-        np.all(policy.command_low >= 0) and np.all(policy.command_high <= 65535)
-    ):
-        raise InputError(
-            f"command range {policy.command_low.tolist()}..{policy.command_high.tolist()} rpm "
-            "does not fit in 0..65535"
-        )
+        values = np.concatenate([kernel, bias[None]]).T
+        for row, column in np.argwhere(~np.isfinite(values)):
+            raise InputError(
+                f"layer {index}, row {row}: {values[row, column]} is not a finite weight"
+            )
+    ends = (policy.command_low, policy.command_high)
+    rpm = all(signal.unit == "rpm" for signal in MODELS[policy.vehicle].commands)
+    if rpm and (np.any(ends[0] < 0) or np.any(ends[1] > 65535)):
+        text = "..".join(str(end.tolist()) for end in ends)
+        raise InputError(f"command range {text} rpm does not fit in 0..65535")
 
 
 def convert(policy: Policy, overrides: dict[str, float] | None = None) -> FixedNetwork:
@@ -127,21 +114,55 @@ def convert(policy: Policy, overrides: dict[str, float] | None = None) -> FixedN
     """
     check_policy(policy)
     box = declare(policy, overrides)
-    hidden = convert_hidden(policy.layers[:-1], box.ranges)
-    return _output_layer(policy, box, hidden)
+    hidden, scale, magnitude = convert_hidden(policy.layers[:-1], box.ranges)
+    low, high = policy.command_low, policy.command_high
+    fraction_bits = min(30, 30 - math.frexp(float(np.max(np.abs([low, high]))))[1])
+    kernel, bias = output_layer(policy)
+    limits = []
+    for row in range(len(bias)):
+        total, power = largest_power(len(hidden), row, kernel[row], bias[row], scale, magnitude)
+        if power <= fraction_bits:
+            raise InputError(
+                f"layer {len(hidden)}, row {row}: outputs up to {total:.3g} leave no bits for a "
+                "command; the range proof fails"
+            )
+        limits.append(power)
+    power = min(*limits, fraction_bits + LARGEST_SHIFT)
+    shift = power - fraction_bits
+    weights = np.rint(kernel * scale * 2.0**power).astype(np.int64).astype(np.int32)
+    rounded = np.array([round(float(b) * 2.0**power) + 2 ** (shift - 1) for b in bias], np.int64)
+    return FixedNetwork(
+        box=box,
+        hidden=hidden,
+        output=FixedLayer(weights, rounded, np.full(len(bias), 2.0**-fraction_bits)),
+        output_shift=shift,
+        fraction_bits=fraction_bits,
+        command_low=np.rint(low * 2.0**fraction_bits).astype(np.int64),
+        command_high=np.rint(high * 2.0**fraction_bits).astype(np.int64),
+        model=MODELS[policy.vehicle],
+    )
 
 
-@dataclasses.dataclass(frozen=True)
-class Hidden:
-    """The hidden layers as integers, and what the last of them gives."""
-
-    layers: tuple[FixedLayer, ...]
-    scale: np.ndarray  # real value of one unit of the outputs
-    magnitude: np.ndarray  # largest real output
+def exact(values: np.ndarray) -> np.ndarray:
+    """Float32 parameters as float64: the numbers that the float policy computes with."""
+    return np.asarray(values, np.float32).astype(np.float64)
 
 
-def convert_hidden(layers: Sequence[tuple[np.ndarray, np.ndarray]], ranges: np.ndarray) -> Hidden:
+def output_layer(policy: Policy) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (outputs, columns) and bias of the last layer, from action to command folded in."""
+    low, high = policy.command_low, policy.command_high
+    half, middle = 0.5 * (high - low), 0.5 * (high + low)
+    kernel, bias = (exact(values) for values in policy.layers[-1])
+    return half[:, None] * kernel.T, half * bias + middle
+
+
+def convert_hidden(
+    layers: Sequence[tuple[np.ndarray, np.ndarray]], ranges: np.ndarray
+) -> tuple[tuple[FixedLayer, ...], np.ndarray, np.ndarray]:
     """The integers of ReLU layers (kernel, bias) over inputs in +-ranges.
+
+    Returns:
+        The layers, the real value of one unit of each output, and the largest real outputs.
 
     Raises:
         InputError: a row whose range is not finite.
@@ -149,21 +170,10 @@ def convert_hidden(layers: Sequence[tuple[np.ndarray, np.ndarray]], ranges: np.n
     low, high, scale = -ranges, ranges, ranges / ONE
     hidden = []
     for index, (kernel, bias) in enumerate(layers):
-        layer, high = _hidden_layer(index, _exact(kernel).T, _exact(bias), scale, low, high)
+        layer, high = _hidden_layer(index, exact(kernel).T, exact(bias), scale, low, high)
         low, scale = np.zeros_like(high), layer.scale
         hidden.append(layer)
-    return Hidden(tuple(hidden), scale, np.maximum(-low, high))
-
-
-def _exact(values: np.ndarray) -> np.ndarray:
-    """Float32 parameters as float64: the numbers that the float policy computes with."""
-    return np.asarray(values, np.float32).astype(np.float64)
-
-
-def _finite(index: int, row: int, value: float) -> float:
-    if not math.isfinite(value):
-        raise InputError(f"layer {index}, row {row}: its range is not finite, no proof is possible")
-    return value
+    return tuple(hidden), scale, np.maximum(-low, high)
 
 
 def _hidden_layer(
@@ -180,84 +190,54 @@ def _hidden_layer(
     biases = np.full(rows, 2 ** (WORD - 1), np.int64)
     scales, upper = np.ones(rows), np.zeros(rows)
     magnitude = np.maximum(-low, high)
+    lowest, highest = ([round(x) for x in (end / scale_in).tolist()] for end in (low, high))
+    margin = 1.0 + 2.0**-20  # rounding of the weights, and of this computation
     for row in range(rows):
         w, b = weights[row], float(bias[row])
         with np.errstate(over="ignore", invalid="ignore"):
             top = math.fsum([b, *np.where(w > 0, w * high, w * low)])
             total = math.fsum([abs(b), *np.abs(w) * magnitude])
-        _finite(index, row, total)
+        _check_finite(index, row, total)
         if top <= 0:
             continue  # never active for any input of the box: a row of zeros is the same function
-        scales[row] = scale = _scale(top, total, float(np.max(np.abs(w) * scale_in)), columns)
+        scales[row] = scale = max(  # the smallest safe scale: of the output, accumulator, weights
+            top / (2**30 - HEADROOM - columns),
+            margin * total / 2.0 ** (62.999 - WORD),
+            margin * float(np.max(np.abs(w) * scale_in)) * 2.0**WORD / LARGEST_WEIGHT,
+        )
         integers[row] = np.rint(w * scale_in * (2.0**WORD / scale)).astype(np.int64)
         biases[row] += round(b * (2.0**WORD / scale))
-        upper[row] = scale * _upper(
-            integers[row], int(biases[row]), low / scale_in, high / scale_in
-        )
+        ends = zip(integers[row].tolist(), lowest, highest, strict=True)
+        accumulated = int(biases[row]) + sum(w * (b if w > 0 else a) for w, a, b in ends)
+        upper[row] = scale * max(0, accumulated >> WORD)
     return FixedLayer(integers, biases, scales), upper
 
 
-def _upper(weights: np.ndarray, bias: int, low: np.ndarray, high: np.ndarray) -> int:
-    """The largest output of an integer row, exactly, for integer inputs in [low, high]."""
-    ends = zip(weights.tolist(), low.tolist(), high.tolist(), strict=True)
-    return max(0, (bias + sum(w * round(b if w > 0 else a) for w, a, b in ends)) >> WORD)
+def _check_finite(index: int | str, row: int, value: float) -> None:
+    if not math.isfinite(value):
+        raise InputError(f"layer {index}, row {row}: its range is not finite, no proof is possible")
 
 
-def _scale(top: float, total: float, largest: float, columns: int) -> float:
-    """The smallest safe scale of a row.
+def largest_power(
+    layer: int | str,
+    row: int,
+    kernel: np.ndarray,
+    bias: float,
+    scale: np.ndarray,
+    magnitude: np.ndarray,
+) -> tuple[float, int]:
+    """Scale of a row of an output layer over activations of ``scale`` and ``magnitude``.
 
-    Args:
-        top: upper bound of its real output, which must stay below 2^30.
-        total: bound of |bias| + sum |w| |x|, which must stay below 2^63 in the accumulator.
-        largest: largest |W_ij| s_j, whose integer must fit in 31 bits.
-        columns: how many weights are rounded.
+    Returns:
+        The largest real output, and the largest k with that times 2^k below 2^62.9 and the largest
+        weight times 2^k below 2^31 - 1.
+
+    Raises:
+        InputError: a row whose range is not finite.
     """
-    margin = 1.0 + 2.0**-20  # rounding of the weights, and of this computation
-    return max(
-        top / (2**30 - HEADROOM - columns),
-        margin * total / 2.0 ** (62.999 - WORD),
-        margin * largest * 2.0**WORD / LARGEST_WEIGHT,
-    )
-
-
-def _output_layer(policy: Policy, box: InputBox, hidden: Hidden) -> FixedNetwork:
-    """The output layer with the command's range folded in, and the whole network."""
-    kernel, bias = _exact(policy.layers[-1][0]).T, _exact(policy.layers[-1][1])
-    low, high = policy.command_low, policy.command_high
-    half, middle = 0.5 * (high - low), 0.5 * (high + low)
-    fraction_bits = min(30, 30 - math.frexp(float(np.max(np.abs([low, high]))))[1])
-    kernel, bias = half[:, None] * kernel, half * bias + middle
-    index, limits = len(hidden.layers), []
-    for row in range(len(bias)):
-        total = math.fsum([abs(bias[row]), *np.abs(kernel[row]) * hidden.magnitude])
-        largest = np.max(np.abs(kernel[row]) * hidden.scale)
-        _finite(index, row, total)
-        limits.append(largest_power(total, largest))
-        if limits[-1] <= fraction_bits:
-            raise InputError(
-                f"layer {index}, row {row}: outputs up to {total:.3g} leave no bits for a "
-                "command; the range proof fails"
-            )
-    power = min(*limits, fraction_bits + LARGEST_SHIFT)
-    shift = power - fraction_bits
-    weights = np.rint(kernel * hidden.scale * 2.0**power).astype(np.int64).astype(np.int32)
-    rounded = [round(float(b) * 2.0**power) + 2 ** (shift - 1) for b in bias]
-    return FixedNetwork(
-        box=box,
-        hidden=hidden.layers,
-        output=FixedLayer(
-            weights, np.array(rounded, np.int64), np.full(len(bias), 2.0**-fraction_bits)
-        ),
-        output_shift=shift,
-        fraction_bits=fraction_bits,
-        command_low=np.rint(low * 2.0**fraction_bits).astype(np.int64),
-        command_high=np.rint(high * 2.0**fraction_bits).astype(np.int64),
-        model=MODELS[policy.vehicle],
-    )
-
-
-def largest_power(total: float, largest: float) -> int:
-    """The largest k with total 2^k below 2^62.9 and largest 2^k below 2^31 - 1."""
+    total = math.fsum([abs(bias), *np.abs(kernel) * magnitude])
+    largest = np.max(np.abs(kernel) * scale)
+    _check_finite(layer, row, total)
     bits = [62.9 - math.log2(total)] if total > 0 else []
     bits += [30.99 - math.log2(largest)] if largest > 0 else []
-    return math.floor(min(bits)) if bits else 62
+    return total, math.floor(min(bits)) if bits else 62

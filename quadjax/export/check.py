@@ -1,0 +1,124 @@
+"""Checks of a policy that was read: what the C checks on board, the proofs and the self-tests."""
+
+import dataclasses
+
+import numpy as np
+
+from quadjax.core.errors import InputError
+from quadjax.export.battery import prove_battery
+from quadjax.export.cases import Cases, answered
+from quadjax.export.disturbances import EstimatorTables, prove_terms
+from quadjax.export.integers import INPUT_BITS, ONE, WORD
+from quadjax.export.network import FixedLayer
+from quadjax.export.proof import prove_layers
+from quadjax.export.race_tables import (
+    ATTITUDE,
+    COPY,
+    FIELDS,
+    GATE,
+    POSITION,
+    QUATERNION_EXPONENT,
+    ROTATION,
+    VECTORS,
+    VELOCITY,
+    YAW_EXPONENT,
+    Input,
+    RaceTables,
+)
+from quadjax.export.words import COMMANDS, LARGEST_EXPONENT, LARGEST_SHIFT, FixedPolicy
+
+LARGEST_LAG, LARGEST_YAW, LARGEST_RANGE = 4096, 2**36, 96
+
+
+def _require(condition: bool, what: str) -> None:
+    if not condition:
+        raise InputError(f"{what} is not allowed")
+
+
+def check(policy: FixedPolicy) -> None:
+    """What ``runtime/qj_check.c`` checks, in its order."""
+    network, race = policy.network, policy.race
+    _require(1 <= network.output_shift <= WORD, f"an output shift of {network.output_shift}")
+    _require(0 <= network.fraction_bits <= 30, f"{network.fraction_bits} fraction bits")
+    _require(policy.time_step > 0, "its time step")
+    ends = (network.command_low, network.command_high)
+    _require(bool(np.all(ends[0] <= ends[1]) and np.all(ends[0] > -(2**31))), "a command range")
+    for name, exponents in race.fields.items():
+        _require(len(exponents) == FIELDS[name][0], f"the size of {name}")
+    _require("position" in race.fields, "a state without a position")
+    _require(max(map(abs, race.exponents)) <= LARGEST_EXPONENT, "a range of the state")
+    place = 0
+    for part in race.inputs:
+        _require(part.index == place, f"the place of {part.name}")
+        _require(_is_input(race, part), f"the input {part.name}")
+        place += race.box.layout[part.name].size
+    gates = race.track
+    units = (*(gates[name] for name in ("position", "axes", "cosine", "sine")), race.next_gate)
+    _require(all(np.all(np.abs(x) <= ONE) for x in units), "a gate")
+    _require(bool(np.all(np.abs(gates["yaw"]) <= LARGEST_YAW)), "the yaw of a gate")
+    sizes = np.minimum(gates["half_width"], gates["half_height"])
+    _require(bool(np.all(sizes >= 0) and np.all(gates["round"] >> 1 == 0)), "the size of a gate")
+    if policy.estimator is not None:
+        _check_estimator(policy.estimator)
+    if policy.battery is not None:
+        prove_battery(policy.battery)
+    _prove(network.layers, network.inputs, COMMANDS)
+
+
+def _is_input(race: RaceTables, part: Input) -> bool:
+    exponent, exponents = race.box.exponent[part.name], race.exponents
+    own = [exponents[i] for i in part.sources] if part.kind != GATE else []
+    size, kind = race.box.layout[part.name].size, part.kind
+    fine = abs(exponent) <= LARGEST_EXPONENT and 0 <= part.lag <= LARGEST_LAG
+    fine &= all(source >= 0 for source in part.sources)
+    if kind in VECTORS:
+        fine &= part.sources[0] == race.starts.get(VECTORS[kind]) and size == (
+            6 if kind == ROTATION else 3
+        )
+    if kind in (POSITION, VELOCITY):
+        fine &= len(set(own)) == 1 and 1 <= INPUT_BITS - own[0] + exponent <= LARGEST_SHIFT
+    if kind == ATTITUDE:
+        fine &= own == [exponent, exponent, YAW_EXPONENT]
+    if kind == ROTATION:
+        fine &= set(own) == {QUATERNION_EXPONENT}
+        fine &= 1 - INPUT_BITS <= exponent <= LARGEST_SHIFT - INPUT_BITS
+    if kind == COPY:
+        fine &= set(own) == {exponent}
+    for rescale in part.rescales:
+        if rescale is not None:
+            fine &= 1 <= rescale.shift <= LARGEST_SHIFT
+            fine &= min(rescale.middle, rescale.factor) > -(2**31)
+    if kind == GATE:
+        fine &= max(part.sources) < race.next_gate.shape[1]
+    return bool(fine)
+
+
+def _check_estimator(tables: EstimatorTables) -> None:
+    largest = max(map(abs, (*tables.exponents, *tables.channel_exponents)))
+    _require(largest <= LARGEST_RANGE and tables.sample_rate > 0.0, "a range of its estimator")
+    prove_terms(tables)
+    if tables.thrust is None or tables.moment is None or tables.rpm_input is None:
+        return
+    fine = 1 <= tables.rpm_input.shift <= LARGEST_SHIFT and abs(tables.rpm_input.middle) <= ONE
+    for net, inputs, outputs in ((tables.thrust, 7, 1), (tables.moment, 10, 3)):
+        fine &= all(1 <= shift <= INPUT_BITS for shift in net.shifts)
+        _require(fine, "a scale of its residual")
+        _prove((*net.hidden, net.output), inputs, outputs)
+
+
+def _prove(layers: tuple[FixedLayer, ...], inputs: int, outputs: int) -> None:
+    prove_layers(layers, inputs)
+    _require(len(layers[-1].bias) == outputs, f"{len(layers[-1].bias)} outputs")
+
+
+def passes(policy: FixedPolicy) -> bool:
+    """Whether the emulators give the integers of the self-tests."""
+    own = policy.cases
+    inputs = own.inputs.view(np.int32)
+    floats = (own.states.view("<f4"), own.measurements.view("<f4"), own.samples.view("<f4"))
+    states, measurements, samples = floats
+    targets = own.targets[:, 0].astype(np.int64)
+    tables = (policy.network, policy.race, policy.estimator, policy.battery)
+    right = answered(*tables, inputs, states, targets, measurements, samples)
+    fields = (field.name for field in dataclasses.fields(Cases))
+    return all(np.array_equal(getattr(right, name), getattr(own, name)) for name in fields)

@@ -1,0 +1,117 @@
+"""The state that the exported C observes, as the environment has it."""
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.core import quaternion
+from quadjax.core.quaternion import Quaternion
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.export.race_source import OwnRace
+from quadjax.export.race_tables import LAST_COMMAND, state_sizes
+from quadjax.policy import pilot
+from quadjax.policy.pilot import command_ranges
+from quadjax.race import environment, episode
+from quadjax.race.environment import Choices, Estimate, RaceParams, RaceState
+from quadjax.race.layout import Layout
+from quadjax.race.observations import HIGHEST_RPM
+from quadjax.race.step import Past
+from quadjax.vehicle.battery import Battery, BatteryState, battery_at_start
+from quadjax.vehicle.protocol import State, VehicleModel
+
+
+def example_state(choices: Choices, params: RaceParams) -> State:
+    """A vehicle's state as shapes."""
+    return jax.eval_shape(functools.partial(episode.hover_start, choices), params).drone
+
+
+def drone_of(layout: Layout, model: VehicleModel, example: State, numbers: jax.Array) -> State:
+    """A vehicle's state of the numbers (n,) of an emitted one; ``example`` has its structure."""
+    values = _by_name(state_sizes(layout, model), numbers)
+    leaves = []
+    for field in dataclasses.fields(example):
+        if field.name == "euler":
+            leaves += _attitude(values, isinstance(example.euler, Quaternion))
+        elif getattr(example, field.name) is not None:
+            leaves += values.get(field.name, values[model.actuators.name])
+    return jax.tree.unflatten(jax.tree.structure(example), leaves)
+
+
+def _by_name(sizes: dict[str, int], numbers: jax.Array) -> dict[str, list[jax.Array]]:
+    index = iter(range(sum(sizes.values())))
+    return {name: [numbers[next(index)] for _ in range(size)] for name, size in sizes.items()}
+
+
+def _attitude(values: dict[str, list[jax.Array]], as_quaternion: bool) -> list[jax.Array]:
+    """The attitude of a state's numbers: three angles, or a quaternion."""
+    if as_quaternion and "quaternion" not in values:
+        return jax.tree.leaves(quaternion.of_euler(Vec3(*values["euler"])))
+    if not as_quaternion and "euler" not in values:
+        # Close to a pitch of 90 deg the arcsine magnifies a rounding error of the length.
+        unit = quaternion.normalized(Quaternion(*values["quaternion"]))
+        return jax.tree.leaves(quaternion.to_euler(unit, jnp.arctan2))
+    return values["quaternion" if as_quaternion else "euler"]
+
+
+def observe(
+    own: OwnRace, states: np.ndarray, targets: np.ndarray, earlier: np.ndarray | None = None
+) -> np.ndarray:
+    """Observations (n, inputs) float32 of states (n, state_size) towards targets (n,).
+
+    They are in the scaling that the policy was trained with. Where a history is observed,
+    ``earlier`` has the rows (n, depth) of the states of 1, 2 .. steps before; by default the states
+    are those of one flight from its start on.
+    """
+    choices, params = own.choices, own.params
+    model, depth = choices.model, choices.layout.depth
+    if earlier is None:
+        earlier = np.maximum(np.arange(len(states))[:, None] - 1 - np.arange(depth), 0)
+    example, sizes = example_state(choices, params), state_sizes(choices.layout, model)
+    low, high = command_ranges(choices, params)
+
+    def known(state: jax.Array) -> Past:
+        last = _by_name(sizes, state).get(LAST_COMMAND, [])
+        triples = zip(last, low, high, strict=False)
+        action = tuple((2.0 * x - lowest - top) / (top - lowest) for x, lowest, top in triples)
+        return Past(drone_of(choices.layout, model, example, state), action or None)
+
+    @jax.jit
+    @functools.partial(jax.vmap, in_axes=(0, 0, 0, None))
+    def observed(
+        state: jax.Array, target: jax.Array, rows: jax.Array, all_: jax.Array
+    ) -> jax.Array:
+        zero, now = jnp.zeros((), jnp.int32), known(state)
+        past = jax.vmap(known)(all_[rows]) if depth else None
+        estimate = None
+        if params.estimator is not None and model.disturbed:
+            estimate = Estimate(None, *now.drone.disturbance)
+        race = RaceState(now.drone, target, zero, zero, None, estimate, now.action, past=past)
+        if params.battery is not None and HIGHEST_RPM in sizes:
+            (highest,) = _by_name(sizes, state)[HIGHEST_RPM]
+            race = race.replace(battery=_battery(params.battery, highest))
+        return pilot.see(own.pilot, environment.observe(choices, params, race))
+
+    return np.asarray(observed(states, targets, earlier, states))
+
+
+def observe_float64(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """As ``observe``, with states and parameters in float64: the rounding of float32 differs."""
+
+    def exact(leaf: Any) -> Any:
+        array = np.asarray(leaf)
+        return array.astype(np.float64) if array.dtype == np.float32 else leaf
+
+    with jax.enable_x64(True):
+        params, of_pilot = jax.tree.map(exact, (own.params, own.pilot))
+        same = dataclasses.replace(own, params=params, pilot=of_pilot)
+        return observe(same, states.astype(np.float64), targets)
+
+
+def _battery(params: Battery, highest: jax.Array) -> BatteryState:
+    """A battery of which the estimate of the highest speed is a number of the state, rpm."""
+    state = battery_at_start(params, Rotors.same(jnp.zeros(())), None)
+    return state.replace(estimate=state.estimate.replace(highest=highest))
