@@ -90,10 +90,10 @@ def load_flights(
     if path.suffix in LOGS:
         return [load_log(path, name, options.logs, options.track)]
     if path.suffix == ".npz":
-        _, meta = read_npz(path, (*POLICY_FORMATS, files.FORMAT))
+        _, meta = read_npz(path, (*POLICY_FORMATS, *files.FORMATS))
         if meta["format"] in POLICY_FORMATS:
             return fly(path, name, options)
-    return files.load(path, name)
+    return files.load(path, options.track.gates if options.track else (), name)
 
 
 def _policy_of_run(folder: Path) -> Path:
@@ -192,7 +192,7 @@ def load_groups(
 def _recorded(path: Path, track: TrackSection, logs: LogsConfig | None) -> list[Flight]:
     """The flights of a file, or of a log up to the end of its last lap."""
     if path.suffix.lower() == ".npz":
-        flights = files.load(path)
+        flights = files.load(path, track.gates)
         return [flight.replace(name=str(run)) for run, flight in enumerate(flights, start=1)]
     if path.suffix.lower() not in LOGS:
         raise InputError(f"{path}: suffix is {path.suffix!r}, allowed: .npz, {', '.join(LOGS)}")

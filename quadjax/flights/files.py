@@ -1,4 +1,4 @@
-"""Files of flights, and of lap times.
+"""Files of flights, and of lap times: one format that is written, and readers of earlier ones.
 
 The written file (``.npz``, format ``quadjax-flights/2``) has, for f flights of at most n samples,
 ``time`` (f, n), s, each signal (f, n, k) by its name, ``passages`` (f, m, 3) and ``lap_ends``
@@ -16,12 +16,13 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, read_npz, whole_file, write_npz
-from quadjax.core.sections import build
+from quadjax.flights.earlier import OLD_FORMATS, gates_of, read_old
 from quadjax.flights.flight import Flight, Signal
 from quadjax.flights.gates import is_same_track
 from quadjax.race.track import GateSection
 
 FORMAT = "quadjax-flights/2"
+FORMATS = (FORMAT, *OLD_FORMATS)  # of .npz files
 WITH_ONE_NAME = ("time", "passages", "lap_ends")
 
 
@@ -103,14 +104,15 @@ def _save_table(flights: Sequence[Flight], path: Path | str) -> None:
         np.savetxt(temporary, np.concatenate(rows), "%.9g", ",", header=header, comments="")
 
 
-def load(path: Path | str, name: str = "") -> list[Flight]:
+def load(path: Path | str, gates: Sequence[GateSection] = (), name: str = "") -> list[Flight]:
     """The flights of a file.
 
     Args:
         path: an ``.npz`` file of ``save``, of ``quadjax evaluate --states`` or of ``quadjax limit
             --npz``; or a ``.json`` file of ``quadjax evaluate --json`` or ``quadjax limit --json``,
             whose lap times are a flight without samples.
-        name: of lap times; the file's stem if not given.
+        gates: of the track, for a file of an earlier version that has none.
+        name: of lap times and of the flights of earlier versions; the file's stem if not given.
 
     Raises:
         InputError: a file that cannot be read, of another format, or with a missing array.
@@ -118,9 +120,11 @@ def load(path: Path | str, name: str = "") -> list[Flight]:
     path, label = Path(path), name or Path(path).stem
     if path.suffix == ".json":
         return [_read_json(path, label)]
-    _, meta = read_npz(path, FORMAT)
+    _, meta = read_npz(path, FORMATS)
+    if meta["format"] != FORMAT:
+        return read_old(path, tuple(gates), label)
+    gates = gates_of(path, "gates", meta.get("gates"))
     try:
-        gates = tuple(build(GateSection, gate, f"{path}: gates") for gate in meta["gates"])
         names = {name for about in meta["flights"] for name in about["signals"]}
         if odd := [name for name in names if not re.fullmatch(r"\w{1,40}", name)]:
             raise InputError(f"{path}: a signal is called {odd[0]!r:.80}")

@@ -40,7 +40,7 @@ def read_starts(config: Config, params: RaceParams) -> RecordedStarts | None:
     if path is None:
         return None
     name = f"run.start_states: {path}"
-    arrays = states_of(name, load(path))
+    arrays = states_of(name, load(path, config.track.gates))
     model, gates = vehicle_model(config.vehicle.model), len(config.track.gates)
     size, target = arrays["actuators"].shape[1], arrays["target"]
     if size != model.actuators.size:
