@@ -121,25 +121,6 @@ def test_policies_of_the_ablation_can_be_trained(variant, monkeypatch):
     assert (PRETRAINED / "ablation" / f"{variant.policy}.npz").is_file()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "names"),
-    [
-        (["--parts", "tables"], "--parts"),
-        (["--conditions", "calm"], "'calm', allowed: all effects"),
-        (["--parts", "table", "--conditions", "all effects"], "--conditions has no effect"),
-        (["--e2e", "missing.npz"], "missing.npz"),
-        (["--e2e", PRETRAINED / "indi.npz"], "a policy for the rate"),
-        (["effects.wind=1"], "effects.wind"),
-        (["--runs", "25"], "--runs is 25, allowed: multiples of --plants (10)"),
-        (["--name", "../../zz"], "'../../zz'"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_2(capsys, arguments, names):
-    assert run("compare", CONFIGS / "plant" / "standin.yaml", *arguments) == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1 and lines[0].startswith("error: ") and names in lines[0]
-
-
 @pytest.mark.slow
 def test_the_command_flies_draws_and_writes(tmp_path, capsys):
     arguments = ["--runs", 2, "--laps", 1, "--plants", 2, "--conditions", "all effects"]

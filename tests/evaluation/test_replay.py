@@ -186,27 +186,3 @@ def test_a_racing_quadcopter_without_rotor_speeds(tmp_path, capsys):
     assert run("replay", tmp_path / "flight.csv", *arguments, "--policy", "indi") == 0
     text = capsys.readouterr().out
     assert "the policy's commands next to the log\n" in text and "thrust" in text
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["LOG"], "--policy or --vehicle is required"),
-        (
-            ["LOG", "--policy", "e2e", "--residual", "x.npz"],
-            "--residual has no effect without --vehicle",
-        ),
-        (["LOG", "--policy", "e2e", "--drive", "wind"], "--drive"),
-        (["nowhere.csv", "--policy", "e2e"], "nowhere.csv"),
-        (["LOG", "--policy", "e2e", "--json", "x.txt"], "suffix is '.txt'"),
-        (["LOG", "--policy", "e2e", "--logs", "nowhere"], "nowhere"),
-        (["LOG", "--policy", "e2e"], "column 'rpm_1'"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_2(arguments, says, tmp_path, capsys):
-    (tmp_path / "log.csv").write_text("t,p,q,r\n0,1,2,3\n")
-    words = [tmp_path / "log.csv" if word == "LOG" else word for word in arguments]
-    assert run("replay", *words, "--output", tmp_path, "--name", "out") == 2
-    *notes, error = capsys.readouterr().err.splitlines()
-    assert says in error and not (tmp_path / "out").exists()
-    assert all("flies the race of the preset e2e +residual" in note for note in notes)

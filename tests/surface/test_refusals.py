@@ -74,6 +74,31 @@ evaluate e2e --policy e2e --laps 2 --gates 3 | --gates --laps
 evaluate e2e --policy e2e --seed -1 | --seed -1
 evaluate e2e --policy e2e --json notes.txt/a.json | notes.txt
 evaluate e2e --policy e2e --start floor | floor hover
+evaluate e2e --policy e2e --figure a.xyz | a.xyz
+evaluate e2e --policy e2e --animation a.mp4 | a.mp4
+evaluate e2e --policy e2e --study spread --figure x.png | --figure effect --conditions
+evaluate e2e --policy e2e --study protocols --deterministic | --deterministic effect
+evaluate e2e --policy e2e --conditions damage --only fog | --only 'fog' modeled
+evaluate e2e --policy e2e --only fog | --only --conditions
+evaluate e2e --policy e2e --plant standin --gates 5 | plant laps hover
+evaluate e2e --policy e2e --plants 3 --runs 4 | runs multiples (3)
+evaluate track=figure8 --policy e2e | track=figure8 preset
+evaluate --flights nosuch.npz | nosuch.npz files
+evaluate --flights =a.npz | LABEL=FILE
+evaluate --flights notes.txt | .npz .csv
+evaluate --flights short.csv | short.csv format
+compare standin --parts tables | --parts
+compare standin --conditions calm | 'calm' effects
+compare standin --parts table --conditions 'all effects' | --conditions effect
+compare standin --e2e indi | rate motor
+compare standin effects.wind=1 | effects.wind
+compare standin --runs 25 | --runs multiples (10)
+compare standin --name ../zz | ../zz
+improve e2e --policy e2e --logs nosuch.csv | nosuch.csv
+improve e2e --policy e2e --logs short.csv --seed 0 | --seed effect --logs
+improve e2e --policy e2e --rounds 0 | --rounds 100
+improve e2e --policy e2e vehicle.model=rate | vehicle.model motor
+view e2e --name a --name b | --name flights
 view nosuch.npz | nosuch.npz
 view notes.txt | notes.txt
 limit e2e track=nosuch | nosuch
@@ -91,6 +116,11 @@ fit standin logs.files=[short.csv] | short.csv
 fit standin logs.files=[nosuch.csv] | nosuch.csv
 replay empty.csv --policy e2e | empty.csv
 replay short.csv --policy e2e --logs paparazzi | short.csv
+replay short.csv | --policy --vehicle
+replay short.csv --policy e2e --residual x.npz | --residual --vehicle
+replay short.csv --policy e2e --drive wind | --drive
+replay short.csv --policy e2e --json x.txt | .txt
+replay short.csv --policy e2e --logs nosuch | nosuch
 logs --vehicle nosuch --output out | nosuch
 export nosuch --output out | nosuch
 export e2e --output notes.txt | notes.txt

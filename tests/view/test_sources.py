@@ -97,8 +97,6 @@ def test_bad_files_are_one_line(tmp_path, capsys):
         assert not (tmp_path / "out.html").exists()
     assert run("view", tmp_path) == 2
     assert "expected the folder of a training run" in capsys.readouterr().err
-    assert run("view", "e2e", "--name", "a", "--name", "b") == 2
-    assert "more names than flights" in capsys.readouterr().err
 
 
 def test_code_that_a_policy_file_names_is_not_imported(tmp_path, capsys):
