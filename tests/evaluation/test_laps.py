@@ -1,3 +1,5 @@
+"""Timed laps, the rows made of them, and their tables."""
+
 import dataclasses
 
 import jax
@@ -28,23 +30,13 @@ def flown():
     return fly()
 
 
-def recorded(flown):
-    config, laps, trace = flown
-    return recorded_flights(trace, laps, 0.01, config.track.gates, MODELS["rate"])
-
-
-def test_every_lap_is_timed(flown):
-    _, laps, _ = flown
-    assert laps.finished == 2 and laps.crashes == ("", "")
-    assert laps.lap_times.shape == (2, LAPS)
-    assert np.all((laps.lap_times > 3.0) & (laps.lap_times < 8.0))
-    np.testing.assert_allclose(laps.totals, laps.seconds, atol=1e-4)
-
-
 def test_a_lap_ends_where_the_path_crosses_the_last_gate(flown):
-    config, laps, _ = flown
-    flight = recorded(flown)[0]
-    gate = config.track.gates[-1]
+    config, laps, trace = flown
+    assert laps.finished == 2 and laps.crashes == ("", "") and laps.lap_times.shape == (2, LAPS)
+    np.testing.assert_allclose(laps.totals, laps.seconds, atol=1e-4)
+    flights = recorded_flights(trace, laps, 0.01, config.track.gates, MODELS["rate"])
+    assert len(distinct(flights)) == 1  # nothing is random here
+    flight, gate = fastest(flights), config.track.gates[-1]
     yaw = np.radians(gate.yaw_deg)
     relative = flight["position"] - np.array(gate.position)
     ahead = np.cos(yaw) * relative[:, 0] + np.sin(yaw) * relative[:, 1]
@@ -52,6 +44,12 @@ def test_a_lap_ends_where_the_path_crosses_the_last_gate(flown):
     near = (np.abs(side) < 0.5) & (np.abs(relative[:, 2]) < 0.5)
     crossed = (ahead[:-1] < 0) & (ahead[1:] >= 0) & near[1:]
     np.testing.assert_allclose(flight.time[1:][crossed], np.cumsum(laps.lap_times[0]), atol=1e-4)
+    assert flight.time[-1] == pytest.approx(laps.totals[0], abs=1e-4)
+    assert flight["actuators"].shape == (len(flight.time), 1)
+    np.testing.assert_allclose(flight["position"][0], config.track.gates[-1].position)
+    np.testing.assert_array_equal(flight.passages[:, 1], [0, 1, 2, 3] * LAPS)
+    late = flight.lap_ends - flight.passages[3::4, 0]  # the race counts the first sample past it
+    assert (late >= 0.0).all() and (late < 0.01).all()
 
 
 def test_a_race_of_some_gates_ends_within_a_lap(flown):
@@ -69,27 +67,9 @@ def test_a_race_of_some_gates_ends_within_a_lap(flown):
     even, _ = fly_laps(choices, params, scripted, own, key, runs=2, trace=True, gates=8)
     np.testing.assert_array_equal(even.lap_times, whole.lap_times)
     assert even.last_gates == 0
-
-
-def test_races_of_some_gates_are_checked():
     course = ["track.closed=false", "track.start={position: [0, 0, -1]}", "evaluate.laps=1"]
     with pytest.raises(InputError, match="evaluate.gates is 3, allowed: null with track.closed"):
         load_config(BLANK, [*course, "evaluate.gates=3"])
-    assert load_config(BLANK, ["evaluate.gates=5"]).evaluate.length == "5 gates"
-
-
-def test_a_flight_ends_with_its_run(flown):
-    config, laps, _ = flown
-    flights = recorded(flown)
-    assert len(distinct(flights)) == 1  # nothing is random here
-    flight = fastest(flights)
-    assert flight.time[-1] == pytest.approx(laps.totals[0], abs=1e-4)
-    assert flight["actuators"].shape == (len(flight.time), 1)
-    assert np.linalg.norm(np.diff(flight["position"], axis=0), axis=1).max() < 0.1
-    np.testing.assert_allclose(flight["position"][0], config.track.gates[-1].position)
-    np.testing.assert_array_equal(flight.passages[:, 1], [0, 1, 2, 3] * LAPS)
-    late = flight.lap_ends - flight.passages[3::4, 0]  # the race counts the first sample past it
-    assert (late >= 0.0).all() and (late < 0.01).all()
 
 
 @pytest.mark.parametrize(
@@ -107,26 +87,20 @@ def test_every_early_end_has_its_reason(reason, wishes):
     assert laps.crashes == (reason, reason)
     assert laps.finished == 0 and np.isnan(laps.totals).all()
     crash = laps.to_json()["crashes"][1]
-    assert crash["run"] == 1 and crash["lap"] == 1 and crash["reason"] == reason
+    assert (crash["run"], crash["lap"], crash["reason"]) == (1, 1, reason)
     assert 0 < crash["seconds"] <= LAPS * 8.0
     assert describe_crashes(laps)[0].startswith(f"runs 1, 2: {reason} in lap 1")
 
 
-def test_json_has_the_promised_keys(flown):
+def test_json_and_table_of_laps(flown):
     _, laps, _ = flown
-    result = laps.to_json()
+    result, own = laps.to_json(), Row("own", laps, published=published.INDI)
     assert set(result) == {"laps", "totals", "finished", "runs", "crashes"}
     assert result["finished"] == result["runs"] == 2 and result["crashes"] == []
     assert result["totals"][0] == pytest.approx(sum(result["laps"][0]), abs=1e-3)
-
-
-def test_the_table_has_published_times(flown):
-    _, laps, _ = flown
-    own = Row("own", laps)
     assert own.total == pytest.approx(laps.totals.mean())
-    text = table.lap_table([dataclasses.replace(own, published=published.INDI)]).format()
-    assert "2/2" in text and "17.14" in text and "15.75" not in text
-    assert "published" in text
+    text = table.lap_table([own]).format()
+    assert "2/2" in text and "17.14" in text and "15.75" not in text and "\npublished\n" in text
 
 
 @pytest.mark.parametrize(
@@ -137,12 +111,10 @@ def test_six_laps_and_their_sum_are_one_block_of_80_columns(label):
     times[3, 4:] = np.nan
     crashes = tuple("hit a gate" if run == 3 else "" for run in range(100))
     laps = Laps(times, crashes, np.full(100, 15.0), 48.0)
-    rows = [Row(label, laps, published=published.INDI)]
-    shown = table.lap_table(rows)
+    shown = table.lap_table([Row(label, laps, published=published.INDI)])
     lines = shown.format().splitlines()
     assert max(map(len, lines[: -len(shown.notes)])) <= table.WIDTH == 80
-    assert "2.50" in "".join(lines) and "lap 6" in "".join(lines)
-    assert "15.00" in "".join(lines) and "99/100" in "".join(lines)
+    assert all(word in "".join(lines) for word in ("2.50", "lap 6", "15.00", "99/100"))
 
 
 def test_many_early_ends_are_few_lines():
@@ -181,20 +153,17 @@ def test_two_rows_are_compared_on_the_flights_that_both_finish():
         np.testing.assert_allclose(row.plant_totals, [total, np.nan])
 
 
-def test_a_drone_that_hovers_is_neither_crashed_nor_has_it_a_lap():
+def test_a_table_has_three_forms_and_a_drone_that_hovers_no_lap():
     still = Row("mine", flights(np.nan, np.nan, reason="out of time"))
     assert (still.crashed, still.without_lap, still.runs) == (0, 2, 2)
     text = table.policy_table([still], "crashed").format("markdown")
     assert "| mine | 0% and 100% without a lap / - |" in text
     assert still.to_json()["lap"] is None and still.to_json()["without_lap"] == 2
-
-
-def test_a_table_has_three_forms():
     rows = [Row("a_b & 100%", flights(3.0, 5.0)), Row("c", flights(4.0))]
-    shown = table.lap_table(rows)
-    assert "| a_b & 100% | 2.00 | 2.00 | 4.00 | 3.00 | 2/2 |" in shown.format("markdown")
+    shown = table.lap_table([dataclasses.replace(row, published=published.INDI) for row in rows])
+    assert "| a_b & 100% | 2.00 | 2.00 | - | - | - | - | 4.00 |" in shown.format("markdown")
     latex = shown.format("latex")
-    assert r"a\_b \& 100\% & 2.00" in latex and latex.count(r"\midrule") == 1
-    assert "lap 1" in shown.format("text") and "1/1" in shown.format("text")
+    assert r"a\_b \& 100\% & 2.00" in latex and latex.count(r"\midrule") == 2
+    assert r"\multicolumn{10}{l}{published} \\" in latex
     with pytest.raises(InputError, match="format is 'html', allowed: text, markdown, latex"):
         shown.format("html")
