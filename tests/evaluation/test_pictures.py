@@ -157,5 +157,3 @@ def test_height_and_attitude_are_drawn_upwards_and_in_degrees():
     np.testing.assert_allclose(lines[1], flight.speed)
     for line, angle in zip(lines[2:], flight["attitude"].T, strict=True):
         np.testing.assert_allclose(np.radians(line), np.unwrap(angle), atol=1e-9)
-
-
