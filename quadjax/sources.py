@@ -2,8 +2,10 @@
 
 import dataclasses
 import glob
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -36,28 +38,17 @@ class Options:
 
     Attributes:
         race: that policies fly, and whose gates files without gates get; None: a policy's own.
-        laps: of policies; ``evaluate.laps`` of the race if not given.
-        runs: of each policy.
-        sampled: sampled actions rather than the mean action.
-        seed: of the noise and the disturbances.
+        evaluate: arguments of ``quadjax.evaluate`` for policies.
         logs: columns and frames of flight logs; None: those of a known format, by the header.
         progress: called with the policy that is simulated.
         report: called with a line of text for a policy that flies the race of a preset.
     """
 
     race: Config | None = None
-    laps: int | None = None
-    runs: int = 1
-    sampled: bool = False
-    seed: int = 0
+    evaluate: Mapping[str, Any] = MappingProxyType({"runs": 1, "deterministic": True})
     logs: LogsConfig | None = None
     progress: Callable[[str], None] = lambda line: None
     report: Callable[[str], None] = lambda line: None
-
-    @property
-    def track(self) -> TrackSection | None:
-        """The track of the race."""
-        return None if self.race is None else self.race.track
 
 
 DEFAULT = Options()
@@ -88,7 +79,8 @@ def load_flights(
         allowed = f"a run's folder, {', '.join(SUFFIXES)}"
         raise InputError(f"{source}: suffix is {path.suffix!r}, allowed: {allowed}")
     if path.suffix in LOGS:
-        return [load_log(path, name, options.logs, options.track)]
+        track = None if options.race is None else options.race.track
+        return [load_log(path, name, options.logs, track)]
     if path.suffix == ".npz":
         _, meta = read_npz(path, (*POLICY_FORMATS, *files.FORMATS))
         if meta["format"] in POLICY_FORMATS:
@@ -112,15 +104,7 @@ def fly(path: Path, name: str, options: Options = DEFAULT) -> list[Flight]:
     options.progress(f"simulating {path}")
     policy = Policy.load(path)
     race, _ = race_of_policy(policy, path, options.race, report=options.report)
-    evaluation = evaluate(
-        policy,
-        race,
-        runs=options.runs,
-        laps=options.laps,
-        deterministic=not options.sampled,
-        seed=options.seed,
-        name=str(path),
-    )
+    evaluation = evaluate(policy, race, name=str(path), **options.evaluate)
     return evaluation.named_flights(name)
 
 

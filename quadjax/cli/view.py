@@ -67,7 +67,8 @@ def view(
         raise InputError(f"--open needs an .html file, --output is {output}")
     config = load_config(race) if race else None
     columns = logs.columns() if logs.logs else None
-    reading = Options(config, laps, runs, sampled, seed, columns, report=note)
+    flown = {"runs": runs, "laps": laps, "deterministic": not sampled, "seed": seed}
+    reading = Options(config, flown, columns, report=note)
     title = title or (config.track.name if config else "") or "Flights"
     with steps() as report:
         reading = dataclasses.replace(reading, progress=report)

@@ -266,7 +266,7 @@ class Evaluation:
             path: of the page, an HTML file that needs no network; a temporary file if not given.
         """
         from quadjax.view.data import page_record
-        from quadjax.view.notebook import show
+        from quadjax.view.page import show
 
         show(page_record(self.label(), self.named_flights("run")), path)
 

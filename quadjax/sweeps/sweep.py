@@ -28,7 +28,7 @@ from quadjax.sweeps.schema import (
 )
 
 TRIALS = 20  # of a sweep without a budget
-COMBINATIONS = 64  # combinations of the space's ends that are all checked
+COMBINATIONS = 64  # of the space's ends that are all checked
 SET_BY_SWEEP = ("name", "seed", "run.devices", "run.tensorboard")
 RACE = ("vehicle", "track", "rules", "randomization", "disturbance", "start", "evaluate")
 Params = dict[str, Value]
@@ -108,39 +108,27 @@ class Sweep:
             values = self.grid()
             return [dict(zip(values, x, strict=True)) for x in itertools.product(*values.values())]
         count = self.trials if search.method == "random" else min(search.startup, self.trials)
-        drawn = self.draws(count, search.seed, [self.base_params()] if search.base_first else [])
+        study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=search.seed))
+        size, drawn = self.size(), [self.base_params()] if search.base_first else []
+        while len(drawn) < count:  # all differ until the space has no others
+            params = study.ask(dict(self.space)).params
+            if params not in drawn or len(drawn) >= size:
+                drawn.append(params)
         return [*drawn, *({} for _ in range(self.trials - count))]
 
-    def draws(self, count: int, seed: int, first: Sequence[Params] = ()) -> list[Params]:
-        """Random parameters after the ``first`` ones, up to ``count``.
-
-        All differ until the space has no others. The first ones of a longer list are the same.
-        """
-        study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=seed))
-        size, result = self.size(), [*first]
-        while len(result) < count:
-            params = study.ask(dict(self.space)).params
-            if params not in result or len(result) >= size:
-                result.append(params)
-        return result
-
     def check(self) -> None:
-        """Check the budget, and combinations of the ends of all ranges.
-
-        They are all combinations, or each end with random other values where there are many.
+        """Check the budget, each end of all ranges, and their combinations where these are few.
 
         Raises:
             InputError: values that do not go together, or a base outside of its space.
         """
-        ends = [
-            list(d.choices) if isinstance(d, CategoricalDistribution) else [d.low, d.high]
-            for d in self.space.values()
-        ]
-        if math.prod(map(len, ends)) <= COMBINATIONS:
-            tried = [dict(zip(self.space, x, strict=True)) for x in itertools.product(*ends)]
-        else:
-            alone = [{k: x} for k, values in zip(self.space, ends, strict=True) for x in values]
-            tried = [a | b for a, b in zip(self.draws(len(alone), 0), alone, strict=True)]
+        ends = {
+            key: list(d.choices) if isinstance(d, CategoricalDistribution) else [d.low, d.high]
+            for key, d in self.space.items()
+        }
+        tried: list[Params] = [{key: x} for key, values in ends.items() for x in values]
+        if math.prod(map(len, ends.values())) <= COMBINATIONS:
+            tried = [dict(zip(ends, x, strict=True)) for x in itertools.product(*ends.values())]
         for params in tried:
             with prefixed("space: " + ", ".join(self.override(*item) for item in params.items())):
                 self.config_of(params)

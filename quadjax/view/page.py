@@ -1,10 +1,13 @@
-"""Self-contained pages: HTML that contains the script, the style and the data."""
+"""Self-contained pages, in a notebook or the browser: HTML with the script, style and data."""
 
 import base64
 import functools
 import hashlib
 import html
 import json
+import sys
+import tempfile
+import webbrowser
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +27,7 @@ def page(record: dict[str, Any]) -> str:
     their hashes. Text of the record is shown as text.
 
     Args:
-        record: of a ``Scene``.
+        record: of ``page_record``.
     """
     script, css = _asset("viewer.js"), _asset("viewer.css")
     policy = (
@@ -58,7 +61,7 @@ def frame(record: dict[str, Any], height: int = HEIGHT) -> str:
     """The page as an ``iframe`` for a notebook or another page.
 
     Args:
-        record: of a ``Scene``.
+        record: of ``page_record``.
         height: px.
     """
     source = html.escape(page(record), quote=True)
@@ -66,6 +69,31 @@ def frame(record: dict[str, Any], height: int = HEIGHT) -> str:
         f'<iframe srcdoc="{source}" sandbox="allow-scripts" allow="fullscreen" '
         f'style="width: 100%; height: {height}px; border: 0"></iframe>'
     )
+
+
+def show(record: dict[str, Any], path: Path | str | None = None) -> None:
+    """Show a page in the notebook that runs this process, else in the browser.
+
+    Args:
+        record: of ``page_record``.
+        path: of the HTML file that the browser opens; a temporary file if not given.
+    """
+    if path is None and _in_notebook():
+        from IPython.display import HTML, display
+
+        display(HTML(frame(record)))
+        return
+    if path is None:
+        path = Path(tempfile.mkdtemp(prefix="quadjax-")) / "flights.html"
+    write_page(path, record)
+    webbrowser.open(Path(path).resolve().as_uri())
+
+
+def _in_notebook() -> bool:
+    """Whether a Jupyter kernel runs this process."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    return shell is not None and hasattr(shell, "kernel")
 
 
 @functools.cache

@@ -18,8 +18,7 @@ from quadjax.flights.files import lap_times
 from quadjax.flights.flight import vehicle_signals
 from quadjax.vehicle.registry import MODELS
 from quadjax.view.data import MISSING, encoded
-from quadjax.view.notebook import show
-from quadjax.view.page import ASSETS, frame, page
+from quadjax.view.page import ASSETS, frame, page, show
 from tests.view.scenes import circle, scene
 
 ROOT = Path(__file__).resolve().parents[2]
