@@ -1,9 +1,7 @@
 """A flight log replayed: its laps, a policy's commands in its states, and a model's predictions."""
 
-import dataclasses
 import functools
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -16,7 +14,7 @@ from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.integrators import rk4_step
-from quadjax.core.plotting import INK, SERIES, head, new_figure, save_figure, tidy
+from quadjax.core.plotting import INK, SERIES, head, new_figure, tidy
 from quadjax.core.vectors import Rotors
 from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.table import Table
@@ -45,7 +43,6 @@ HORIZONS = (0.1, 0.2, 0.5, 1.0)  # s
 STRIDE = 0.1  # s, between the starts of windows
 SMOOTH = 16.0  # Hz, of the speeds' derivative
 UNITS = {"position": "m", "velocity": "m/s", "attitude": "deg", "rates": "rad/s"}  # of errors
-FORMATS = ("pdf", "svg", "png")
 FILES = ("table.txt", "replay.json", "trajectory.*", "prediction.*", "commands.*")
 AS_IN_C = "as the exported C"
 POINTS = 4000  # of a line, at most
@@ -60,55 +57,6 @@ CELLS = {  # of a command: title and format
 Arrays = dict[str, np.ndarray]
 
 
-@dataclasses.dataclass(frozen=True)
-class Replay:
-    """A flight log, and what a policy and a model make of it.
-
-    Attributes:
-        flight: the log, with the passages of the track's gates.
-        track: that was flown.
-        numbers: of the log, its laps, the commands and the predictions, as JSON takes them.
-        commands: (n, k) by label: logged ones, the policy's, and those in fixed point, as far as
-            there are any.
-        errors: (windows, horizons) by quantity, by label: of the model, and of a drone that keeps
-            its velocity and body rates.
-    """
-
-    flight: Flight
-    track: TrackSection
-    numbers: dict[str, Any]
-    commands: Arrays
-    errors: dict[str, Arrays]
-
-    def text(self) -> str:
-        """Laps, commands and prediction errors as text."""
-        numbers, laps = self.numbers, self.numbers["lap_times"]
-        seconds, rate = numbers["seconds"], numbers["sample_rate"]
-        lines = [f"{numbers['log']}: {seconds:.2f} s of flight at {rate:.0f} Hz", ""]
-        if passed := len(numbers["gate_times"]):
-            of_track = f"of the track {self.track.name}, {passed} gates passed"
-            lines.append(f"laps: {len(laps)} {of_track}")
-            lines += [f"  lap {number}  {lap:8.3f} s" for number, lap in enumerate(laps, start=1)]
-        else:
-            lines.append(f"laps: no gate of the track {self.track.name} is passed (--track)")
-        if numbers["commands"] is not None:
-            lines += ["", _commands_table(numbers["commands"]).format()]
-        return "\n".join([*lines, "", _prediction_table(numbers["prediction"]).format()])
-
-    def write_figures(self, folder: Path) -> None:
-        """Write ``trajectory``, ``prediction`` and, with a policy, ``commands``: PDF, SVG, PNG."""
-        figures = {
-            "trajectory": trajectory_figure([self.flight], self.track.gates, self.flight.name),
-            "prediction": _prediction_figure(self.numbers["prediction"], self.errors),
-        }
-        if self.commands:
-            rows = self.numbers["commands"]["each"]
-            figures["commands"] = _commands_figure(self.flight.time, rows, self.commands)
-        for name, figure in figures.items():
-            for suffix in FORMATS:
-                save_figure(figure, folder / f"{name}.{suffix}")
-
-
 def replay(
     log: FlightLog,
     track: TrackSection,
@@ -117,7 +65,7 @@ def replay(
     policy: Policy | None,
     drive: str | None = None,
     report: Callable[[str], None] = lambda line: None,
-) -> Replay:
+) -> tuple[dict[str, Any], dict[str, Figure]]:
     """Replay a flight.
 
     Args:
@@ -129,23 +77,31 @@ def replay(
         drive: what drives the model: commands, speeds, or None: commands if the log has them.
         report: called with the progress.
 
+    Returns:
+        Numbers of the log, its laps, the commands and the predictions, as JSON takes them; and the
+        figures ``trajectory``, ``prediction`` and, with a policy, ``commands``.
+
     Raises:
         InputError: a log without a signal that is needed, or shorter than a window; in one line.
     """
     choices, params = choices_of(drone), build_params(drone)
     flight = vehicle_flight(log, choices.model, params.vehicle)
     flight = flight.with_passages(track.gates, REACH, track.closed)
-    of_policy, commands = None, dict[str, np.ndarray]()
+    figures = {"trajectory": trajectory_figure([flight], track.gates, flight.name)}
+    of_policy = None
     if race is not None and policy is not None:
         report("commands of the policy")
         seen = vehicle_flight(log, race.choices.model, race.params.vehicle)
         seen = seen.with_passages(track.gates, REACH, track.closed)
         of_policy, commands = _policy_commands(seen, race, policy)
+        figures["commands"] = _commands_figure(seen.time, of_policy["each"], commands)
     report("predictions of the model")
     example = example_state(choices, params)
     of_model, errors = _predict(flight, choices.model, params.vehicle, example, drive)
+    figures["prediction"] = _prediction_figure(of_model, errors)
     numbers = {
         "log": log.path,
+        "track": track.name,
         "seconds": float(flight.time[-1]),
         "sample_rate": 1.0 / flight.step,
         "gate_times": [round(float(x), 4) for x in flight.passages[:, 0]],
@@ -153,13 +109,30 @@ def replay(
         "commands": of_policy,
         "prediction": of_model | {"residual": drone.vehicle.residual},
     }
-    return Replay(flight, track, numbers, commands, errors)
+    return numbers, figures
+
+
+def text_of(numbers: dict[str, Any]) -> str:
+    """Laps, commands and prediction errors of ``replay`` as text."""
+    laps, seconds, rate = numbers["lap_times"], numbers["seconds"], numbers["sample_rate"]
+    lines = [f"{numbers['log']}: {seconds:.2f} s of flight at {rate:.0f} Hz", ""]
+    if passed := len(numbers["gate_times"]):
+        lines.append(f"laps: {len(laps)} of the track {numbers['track']}, {passed} gates passed")
+        lines += [f"  lap {number}  {lap:8.3f} s" for number, lap in enumerate(laps, start=1)]
+    else:
+        lines.append(f"laps: no gate of the track {numbers['track']} is passed (--track)")
+    if numbers["commands"] is not None:
+        lines += ["", _commands_table(numbers["commands"]).format()]
+    return "\n".join([*lines, "", _prediction_table(numbers["prediction"]).format()])
 
 
 def _policy_commands(
     flight: Flight, race: OwnRace, policy: Policy
 ) -> tuple[dict[str, Any], Arrays]:
-    """Commands in the logged states: numbers as JSON takes them, and ``Replay.commands``."""
+    """Commands in the logged states: numbers as JSON takes them, and commands (n, k) by label.
+
+    Logged ones, the policy's, and those in fixed point, as far as there are any.
+    """
     model, logged, source = race.choices.model, None, "logged commands"
     if "command" in flight.signals:
         logged = flight["command"]
@@ -244,7 +217,11 @@ def _predict(
     example: State,
     drive: str | None = None,
 ) -> tuple[dict[str, Any], dict[str, Arrays]]:
-    """Errors over windows of a flight: numbers as JSON takes them, and ``Replay.errors``."""
+    """Errors over windows of a flight: numbers as JSON takes them, and arrays by label.
+
+    Errors (windows, horizons) by quantity: of the model, and of a drone that keeps its velocity and
+    body rates.
+    """
     step, drive = flight.step, drive or ("commands" if "command" in flight.signals else "speeds")
     commands = _driving_commands(flight, model, params, drive)
     steps = np.array([1, *(max(1, round(horizon / step)) for horizon in HORIZONS)])

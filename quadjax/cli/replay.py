@@ -11,12 +11,14 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.folders import results
+from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import provenance
+from quadjax.evaluation.report import FORMATS
 from quadjax.export.race_source import own_race
 from quadjax.fitting.flight_log import read_log
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
-from quadjax.replay import FILES
+from quadjax.replay import FILES, text_of
 from quadjax.replay import replay as replay_log
 
 
@@ -81,12 +83,15 @@ def replay(
     with results(folder, "replay", FILES, overwrite) as new, steps() as report:
         flight = read_log(log, columns)
         report("compiling and replaying")
-        result = replay_log(flight, gates or drone.track, drone, flown, network, drive, report)
+        track = gates or drone.track
+        numbers, figures = replay_log(flight, track, drone, flown, network, drive, report)
         report("figures")
-        text, record = result.text(), result.numbers | {"provenance": provenance(drone)}
+        text, record = text_of(numbers), numbers | {"provenance": provenance(drone)}
         write_text(new / "table.txt", text + "\n")
         write_json(new / "replay.json", record)
-        result.write_figures(new)
+        for label, figure in figures.items():
+            for suffix in FORMATS:
+                save_figure(figure, new / f"{label}.{suffix}")
     if json is not None:
         write_json(json, record)
     print(text)
