@@ -14,6 +14,7 @@ from quadjax.core.files import write_text
 from quadjax.core.resources import find_policy, policy_names, preset_names
 from quadjax.core.sections import build
 from quadjax.core.yaml_files import Sources, parse_overrides, read_tree_with_bases, to_yaml
+from quadjax.evaluation.table import Table, number
 from quadjax.policy.file import Policy
 from quadjax.race.random_track import RandomTrack
 from quadjax.race.track import GateSection, TrackSection
@@ -88,11 +89,9 @@ def read_track(name: str) -> TrackSection:
 def _vehicle_text(config: Config) -> str:
     """Hover, thrust, rates and time constants of a vehicle, and implausible values."""
     vehicle = config.vehicle
-    kind = model(vehicle.model)
-    summary = summarize(kind, vehicle.constants)
-    lines = [f"{vehicle.name}, model {vehicle.model}", *summary.lines]
-    lines += [f"  warning: {text}" for text in summary.warnings]
-    return "\n".join(lines)
+    summary = summarize(model(vehicle.model), vehicle.constants)
+    warnings = [f"  warning: {text}" for text in summary.warnings]
+    return "\n".join([f"{vehicle.name}, model {vehicle.model}", *summary.lines, *warnings])
 
 
 def keys_text(kind: str) -> str:
@@ -130,24 +129,22 @@ def track_text(track: TrackSection) -> str:
     length, flat = np.linalg.norm(legs, axis=1), np.linalg.norm(legs[:, :2], axis=1)
     heading = np.degrees(np.arctan2(legs[:, 1], legs[:, 0]))
     turn = np.mod(np.roll(heading, -1) - heading + 180.0, 360.0) - 180.0
-    kind = "a lap" if track.closed else "a course"
-    lines = [
-        f"{track.name}: {len(places)} gates, {kind} of {length.sum():.1f} m between centers",
-        f"{'gate':>4} {'north':>7} {'east':>7} {'height':>7} {'yaw':>7} {'leg':>7} {'slope':>7} "
-        f"{'turn':>7}  opening",
-        f"{'':>4} {'m':>7} {'m':>7} {'m':>7} {'deg':>7} {'m':>7} {'deg':>7} {'deg':>7}  m",
-    ]
+    slope = np.degrees(np.arctan2(-legs[:, 2], flat))
+    # No turn before or after a leg straight up or down.
+    turns = (flat > 0.01) & (np.roll(flat, -1) > 0.01)
+    rows = []
     for index, gate in enumerate(track.gates):
         x, y, z = gate.position
-        slope = np.degrees(np.arctan2(-legs[index, 2], flat[index]))
-        apart = flat[index] > 0.01 and np.roll(flat, -1)[index] > 0.01
-        # No turn before or after a leg straight up or down.
-        turn_text = f"{round(turn[index]):>7}" if apart else f"{'-':>7}"
-        lines.append(
-            f"{index + 1:>4} {x:>7.2f} {y:>7.2f} {-z:>7.2f} {round(gate.yaw_deg):>7} "
-            f"{length[index]:>7.2f} {round(slope):>7} {turn_text}  {_opening(gate)}"
-        )
-    return "\n".join(lines)
+        angles = (gate.yaw_deg, slope[index], turn[index] if turns[index] else np.nan)
+        yaw, pitch, bend = ("-" if np.isnan(x) else str(round(x)) for x in angles)
+        place = [number(value) for value in (x, y, -z)]
+        leg = number(length[index])
+        rows.append([str(index + 1), *place, yaw, leg, pitch, bend, _opening(gate)])
+    kind = "a lap" if track.closed else "a course"
+    head = f"{track.name}: {len(places)} gates, {kind} of {length.sum():.1f} m between centers"
+    titles = ["gate", "north", "east", "height", "yaw", "leg", "slope", "turn", "opening"]
+    notes = ["meters and degrees; leg: from the gate before; turn: to the one after"]
+    return f"{head}\n{Table(titles, rows, notes).format()}"
 
 
 def _opening(gate: GateSection) -> str:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 from quadjax.config.loading import load_config
 from quadjax.config.race import vehicle_model_of
 from quadjax.config.schema import Config
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, prefixed
 from quadjax.core.sections import (
     MAX_GATES,
     MAX_LAPS,
@@ -78,10 +78,8 @@ class Condition(Section):
 
     def race(self, config: Config) -> Config:
         """The race of the condition, without its damage; see ``changed``."""
-        try:
+        with prefixed(f"condition {self.label}"):
             return changed(config, self.overrides)
-        except InputError as error:
-            raise InputError(f"condition {self.label}: {error}") from None
 
     def on_plant(self, plant: "PlantConfig") -> "PlantConfig":
         """The plant of the condition.
@@ -166,11 +164,9 @@ class Conditions(Section):
 
     def under(self, condition: Condition) -> Self:
         """The list with the start, the actions and the seed of one of its conditions."""
-        update = {"seed": self.seed + condition.seed}
-        for name in ("start", "deterministic"):
-            value = getattr(condition, name)
-            update[name] = getattr(self, name) if value is None else value
-        return self.model_copy(update=update)
+        choices = {"start": condition.start, "deterministic": condition.deterministic}
+        update = {key: value for key, value in choices.items() if value is not None}
+        return self.model_copy(update=update | {"seed": self.seed + condition.seed})
 
     def of(self, config: Config) -> Iterator[tuple[Condition, Config]]:
         """Each condition, and the race in it."""

@@ -11,12 +11,8 @@ from tests.race.support import BLANK
 
 TINY = (
     *("learner.algorithm=shac", "learner.num_envs=8", "learner.critic_minibatches=2"),
-    *(
-        "learner.horizon=4",
-        "learner.learning_rate=0.004",
-        "network.hidden=[8]",
-        "evaluate.laps=1",
-    ),
+    *("learner.horizon=4", "learner.learning_rate=0.004"),
+    *("network.hidden=[8]", "evaluate.laps=1"),
 )
 STEPS = 64
 FIT = load_fit_config("improve", ["residual={fit: false, seeds: 5}"])
