@@ -112,7 +112,8 @@ def test_a_fitted_vehicle_is_flown_with_its_residual(flown, tmp_path, capsys):
             "--json",
             tmp_path / "r.json",
         )
-        assert run("replay", flown[0], "--vehicle", drone, *options, *place) == 0
+        options = (*options, *place, "--json", tmp_path / "r.json")
+        assert run("replay", flown[0], "--vehicle", drone, *options) == 0
         assert f"{residual})" in capsys.readouterr().out
         errors.append(json.loads((tmp_path / "r.json").read_text())["prediction"]["rms_error"])
     assert errors[0]["rates"][1] > 1.5 * errors[1]["rates"][1]
