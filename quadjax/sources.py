@@ -4,7 +4,6 @@ import dataclasses
 import glob
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -38,14 +37,15 @@ class Options:
 
     Attributes:
         race: that policies fly, and whose gates files without gates get; None: a policy's own.
-        evaluate: arguments of ``quadjax.evaluate`` for policies.
+        evaluate: arguments of ``quadjax.evaluate`` for policies; one run of the mean action if not
+            given.
         logs: columns and frames of flight logs; None: those of a known format, by the header.
         progress: called with the policy that is simulated.
         report: called with a line of text for a policy that flies the race of a preset.
     """
 
     race: Config | None = None
-    evaluate: Mapping[str, Any] = MappingProxyType({"runs": 1, "deterministic": True})
+    evaluate: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     logs: LogsConfig | None = None
     progress: Callable[[str], None] = lambda line: None
     report: Callable[[str], None] = lambda line: None
@@ -104,7 +104,8 @@ def fly(path: Path, name: str, options: Options = DEFAULT) -> list[Flight]:
     options.progress(f"simulating {path}")
     policy = Policy.load(path)
     race, _ = race_of_policy(policy, path, options.race, report=options.report)
-    evaluation = evaluate(policy, race, name=str(path), **options.evaluate)
+    arguments = {"runs": 1, "deterministic": True} | dict(options.evaluate)
+    evaluation = evaluate(policy, race, name=str(path), **arguments)
     return evaluation.named_flights(name)
 
 
