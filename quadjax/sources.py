@@ -36,7 +36,7 @@ class Options:
     """How sources are read.
 
     Attributes:
-        race: that policies fly, and whose gates files without gates get; None: a policy's own.
+        race: that policies fly, and whose gates logs pass; None: a policy's own.
         evaluate: arguments of ``quadjax.evaluate`` for policies; one run of the mean action if not
             given.
         logs: columns and frames of flight logs; None: those of a known format, by the header.
