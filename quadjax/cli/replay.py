@@ -83,8 +83,9 @@ def replay(
     with results(folder, "replay", FILES, overwrite) as new, steps() as report:
         flight = read_log(log, columns)
         report("compiling and replaying")
-        track = gates or drone.track
-        numbers, figures = replay_log(flight, track, drone, flown, network, drive, report)
+        numbers, figures = replay_log(
+            flight, gates or drone.track, drone, flown, network, drive, report
+        )
         report("figures")
         text, record = text_of(numbers), numbers | {"provenance": provenance(drone)}
         write_text(new / "table.txt", text + "\n")
