@@ -48,7 +48,7 @@ def test_the_table_has_flights_of_this_comparison_only():
         "E2E simulated": evaluated(laps(2.5, 2.5), 7000.0),
         "E2E stand-in plant": evaluated(laps(*[2.6] * 5, np.nan), 11000.0, name="motor_command"),
         "INDI simulated": evaluated(laps(2.75, 2.75), 7.0, ("rad/s",) * 4),
-        "INDI stand-in plant": evaluated(laps(*[2.85] * 5, 4.0), 11000.0, name="motor_command"),
+        "INDI stand-in plant": evaluated(laps(*[2.85] * 5, 4.0), 3000.0, name="motor_command"),
     }
     text = compare.table_text(SETTING, flown)
     for line in (
