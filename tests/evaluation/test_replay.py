@@ -104,14 +104,7 @@ def test_a_fitted_vehicle_is_flown_with_its_residual(flown, tmp_path, capsys):
     )
     errors = []
     for options, residual in (((), "fit/residual.npz"), (("--residual", "none"), "none")):
-        place = (
-            "--output",
-            tmp_path,
-            "--name",
-            f"out_{residual[0]}",
-            "--json",
-            tmp_path / "r.json",
-        )
+        place = ("--output", tmp_path, "--name", f"out_{residual[0]}")
         options = (*options, *place, "--json", tmp_path / "r.json")
         assert run("replay", flown[0], "--vehicle", drone, *options) == 0
         assert f"{residual})" in capsys.readouterr().out
