@@ -23,7 +23,13 @@ from quadjax.export.proof import Proof, prove
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import make_tables
 from quadjax.export.ranges import track_ranges
-from quadjax.export.render import glue_header, identifier, policy_header, sizes_header
+from quadjax.export.render import (
+    call_frequency,
+    glue_header,
+    identifier,
+    policy_header,
+    sizes_header,
+)
 from quadjax.export.targets import (
     DEFAULT_TARGET,
     RUNTIME,
@@ -93,6 +99,9 @@ class Converted:
             texts["quadjax_policy.h"] = glue_header(self.fixed, self.own)
         placed = {f"{target.folder}/{name}": text for name, text in texts.items()}
         every = runtime_files(target) | placed
+        if target.glue == "paparazzi":  # the autopilot calls the module at the estimators' rate
+            module, rate = f"{target.folder}/quadjax.xml", call_frequency(self.fixed)
+            every[module] = every[module].replace('freq="512"', f'freq="{rate}"')
         words = {f"{self.options.name}.qjp": self.words}
         return {name: text.encode() for name, text in every.items()} | words
 
@@ -157,14 +166,17 @@ def convert_policy(
     network = convert(policy, track_ranges(policy.layout, own.params.track) | options.ranges)
     proof = prove(network, policy)
     race = make_tables(network.box, policy, own.choices, own.params)
-    check_target(target_of(options.target, policy.vehicle), network, race)
+    vehicle, observed = own.params.vehicle, observed_fields(race)
+    target = target_of(options.target, policy.vehicle)
+    if target.glue == "paparazzi" and observed & {*DISTURBANCES, HIGHEST_RPM}:
+        target = dataclasses.replace(target, calls=options.sample_rate)
+    check_target(target, network, race)
     if rollouts is None and cases is None:
         rollouts = flights.simulate(own)
         if not options.allow_unfinished:
             flights.check_finished(rollouts.laps, own, file)
         network.box.check(rollouts.observations)
         rollouts = rollouts.thinned()
-    vehicle, observed = own.params.vehicle, observed_fields(race)
     estimator = battery = None
     if observed & set(DISTURBANCES) and network.model.name == "motor":
         numbers = (options.sample_rate, options.cutoff)

@@ -123,6 +123,12 @@ def sizes_header(policy: FixedPolicy) -> str:
     return f"/* Sizes of {policy.name}. */\n#ifndef QJ_SIZES_H\n#define QJ_SIZES_H\n{lines}#endif\n"
 
 
+def call_frequency(policy: FixedPolicy) -> int:
+    """Calls of Paparazzi's module, Hz: at the rate of the estimators, if there are any."""
+    rates = [t.sample_rate for t in (policy.estimator, policy.battery) if t is not None]
+    return round(rates[0]) if rates else 512
+
+
 def glue_header(policy: FixedPolicy, own: OwnRace) -> str:
     """``quadjax_policy.h``: what the glue of an autopilot knows of its policy."""
     track = own.params.track
@@ -136,6 +142,7 @@ def glue_header(policy: FixedPolicy, own: OwnRace) -> str:
     values = {
         "QUADJAX_WORDS": f"{policy.name}_words",
         "QUADJAX_OBSERVES_QUATERNION": int("quaternion" in observed_fields(policy.race)),
+        "QUADJAX_FREQUENCY": call_frequency(policy),
         "NUM_GATES": len(positions),
         "QUADJAX_GATE_POSITIONS": "{" + rows + "}",
         "QUADJAX_GATE_YAWS": numbers(np.asarray(track.yaw)),

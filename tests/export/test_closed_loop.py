@@ -38,7 +38,14 @@ DELAYS = {"lockstep": (0,), "lost": (1000,), "late": (1, 2)}  # periods, of a fi
 class Bebop(Paparazzi):
     """Paparazzi's module at 500 Hz, one call for each state of the plant."""
 
-    calls, options = 1, ("-DQUADJAX_FREQUENCY=500",)
+    calls = 1
+
+    def build(self):
+        header = self.folder / "paparazzi/quadjax_policy.h"
+        header.write_text(
+            header.read_text().replace("QUADJAX_FREQUENCY 512", "QUADJAX_FREQUENCY 500")
+        )
+        return super().build()
 
 
 class Peer:

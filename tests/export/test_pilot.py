@@ -2,12 +2,9 @@
 
 import ctypes
 import dataclasses
-import functools
 import subprocess
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -17,13 +14,11 @@ from quadjax.core.files import write_bytes
 from quadjax.export import emulator
 from quadjax.export.conversion import Options
 from quadjax.export.convert import export_c
-from quadjax.export.emulator import fixed_point_fly
 from quadjax.export.race_source import own_race
 from quadjax.export.targets import PX4_MODULE, TARGETS, check_target, target_of
 from quadjax.export.verify.build import Sources, load_library
 from quadjax.export.verify.result import Skipped
 from quadjax.export.verify.toolchain import WARNINGS, arm_none_eabi, host
-from quadjax.race import environment, laps
 from tests.export.support import need, untrained
 from tests.export.test_layouts import converted_in, made
 
@@ -87,13 +82,12 @@ class Glue:
 
 class Paparazzi(Glue):
     calls = 5  # at 512 Hz, in 0.01 s
-    options = ()
 
     def build(self):
         modules = self.folder / "modules"
         modules.mkdir()
         (modules / "quadjax").symlink_to(self.folder / "paparazzi")
-        flags = ["-std=gnu99", "-DPREFLIGHT_CHECKS=1", "-DPERIODIC_TELEMETRY=1", *self.options,
+        flags = ["-std=gnu99", "-DPREFLIGHT_CHECKS=1", "-DPERIODIC_TELEMETRY=1",
                  f"-I{self.folder}", f"-isystem{STUBS / 'paparazzi_stubs'}"]  # fmt: skip
         files = [p for p in self.sources("paparazzi") if p.name != "qj_angles.c"]
         files.append(STUBS / "paparazzi_stubs/stub_main.c")
@@ -348,46 +342,6 @@ def test_a_changed_weight_does_not_fly(name, tmp_path):
     assert name != "paparazzi" or glue.flags == 0 and glue.wrong == 3
 
 
-def flown(policy, own, glue, runs=4, lap_count=2):
-    """The same starts in the simulator with NumPy's integers in JAX, and through the glue."""
-    choices, params = own.choices, environment.exact_rules(own.choices.model, own.params)
-    ranges = glue.converted.fixed.network.box.declared
-    actor, pilot = fixed_point_fly(policy, ranges), own.pilot
-    one = functools.partial(laps.advance, choices, params)
-    advance = jax.jit(jax.vmap(one, in_axes=(-1, 0), out_axes=-1))
-    steps = laps.step_limit(params, lap_count)
-    for run in range(runs):
-        key = jax.random.key(run)
-        start = laps.starting_states(choices, params, key, 1, from_hover=run == 0)
-        start = start.replace(target=jnp.zeros_like(start.target))
-        arguments = (choices, actor, lap_count, steps, False, params, pilot, start, key)
-        reference, _ = laps.fly_race(*arguments)
-        race, taken = laps.begin(start, lap_count), 0
-        glue.step(np.zeros(16), flying=False)
-        while taken < steps and not np.asarray(race.over).all():
-            drone = race.state.drone
-            parts = (drone.position, drone.velocity, drone.angles, drone.rates)
-            numbers = [*jax.tree.leaves(parts), *jax.tree.leaves(drone.actuators)]
-            row = np.zeros(16)
-            row[: len(numbers)] = np.array([np.asarray(x).ravel()[0] for x in numbers])
-            command = glue.step(row)[None]
-            scaled = 2.0 * (command - pilot.low) / (pilot.high - pilot.low) - 1.0
-            race, taken = advance(race, jnp.asarray(scaled, jnp.float32)), taken + 1
-        limit = laps.time_limit(params.track, lap_count)
-        yield [laps.laps_of(choices, x, own.time_step, limit) for x in (reference, race)]
-
-
-@pytest.mark.slow
-@every
-def test_it_flies_races_as_the_simulator(glue):
-    policy, own = policy_of(GLUES[next(k for k, v in GLUES.items() if type(glue) is v[2])][1])
-    for reference, found in flown(policy, own, glue):
-        assert reference.crashes == found.crashes
-        for name in ("lap_times", "seconds"):
-            pair = (getattr(found, name), getattr(reference, name))
-            np.testing.assert_allclose(*pair, atol=1.001 * own.time_step)
-
-
 def test_policies_that_an_autopilot_cannot_fly_are_refused(tmp_path):
     policy, own = made("published racing")
     converted = converted_in(tmp_path, policy, own, "px4")
@@ -413,10 +367,14 @@ def test_policies_that_an_autopilot_cannot_fly_are_refused(tmp_path):
     assert Options("made").target == "cortex-a9"
 
 
-def test_the_verification_calls_the_pilot_at_the_rate_of_the_export(tmp_path):
-    converted = converted_in(tmp_path, *made("e2e with quaternions"), "cortex-a9", 490.0)
-    sources = Sources.write(converted.target, converted.files(), tmp_path / "c", converted.fixed)
-    assert sources.call_ns == round(1e9 / 490.0)
+def test_the_calls_have_the_rate_of_the_export(tmp_path):
+    glue = Paparazzi("cortex-a9", *made("e2e with quaternions"), tmp_path, rate=256.0)
+    assert not glue.wrong and 'freq="256"' in (tmp_path / "paparazzi/quadjax.xml").read_text()
+    files = glue.converted.files()
+    sources = Sources.write(glue.converted.target, files, tmp_path / "c", glue.converted.fixed)
+    assert sources.call_ns == round(1e9 / 256.0)
+    with pytest.raises(InputError, match="the time step is 0.01 s, allowed: whole periods of 256"):
+        converted_in(tmp_path, *made("e2e with a history"), "cortex-a9", 256.0)
 
 
 @pytest.mark.slow

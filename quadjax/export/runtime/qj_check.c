@@ -316,7 +316,11 @@ static qj_error check_estimator(const qj_policy *policy) {
     return QJ_BAD_ESTIMATOR;
   }
   if (e[QJ_ESTIMATOR_THRUST_LAYERS] == 0) {
-    return QJ_OK;
+    uint32_t numbers = 0U; /* of networks that there are not */
+    for (uint32_t i = QJ_ESTIMATOR_RPM_MIDDLE; i < QJ_ESTIMATOR_A1; ++i) {
+      numbers |= (uint32_t)e[i];
+    }
+    return (numbers == 0U) ? QJ_OK : QJ_BAD_ESTIMATOR;
   }
   fine = qj_within(e[QJ_ESTIMATOR_RPM_SHIFT], 1, MAX_SHIFT) &
          qj_within(e[QJ_ESTIMATOR_RPM_MIDDLE], -QJ_INPUT_ONE, QJ_INPUT_ONE);

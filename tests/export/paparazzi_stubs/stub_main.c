@@ -5,13 +5,9 @@
 #include "modules/checks/preflight_checks.h"
 #include "modules/datalink/telemetry.h"
 #include "modules/quadjax/quadjax_module.h"
+#include "modules/quadjax/quadjax_policy.h"
 #include "state.h"
 
-#ifdef QUADJAX_FREQUENCY
-#define STUB_FREQUENCY QUADJAX_FREQUENCY
-#else
-#define STUB_FREQUENCY 512U
-#endif
 struct ActuatorsBebop actuators_bebop;
 struct periodic_telemetry *DefaultPeriodic;
 static struct NedCoor_f position, velocity;
@@ -105,7 +101,7 @@ int stub_step(const float *in, int flying, uint32_t calls, float *out) {
   }
   mode = flying ? AP_MODE_MODULE : 0;
   for (uint32_t i = 0U; i < calls; ++i) {
-    now_us += 1000000U / STUB_FREQUENCY;
+    now_us += 1000000U / QUADJAX_FREQUENCY;
     quadjax_module_periodic();
   }
   const bool flies = quadjax_module_command(command);

@@ -19,9 +19,6 @@
 #ifndef HWCAP_NEON
 #define HWCAP_NEON (1UL << 12)
 #endif
-#ifndef QUADJAX_FREQUENCY
-#define QUADJAX_FREQUENCY 512 /* Hz, of quadjax_module_periodic */
-#endif
 /* The board's motors in the order front-left, front-right, rear-right, rear-left. */
 #ifndef QUADJAX_MOTORS
 #define QUADJAX_MOTORS {0, 1, 2, 3}

@@ -13,7 +13,7 @@
 extern uint8_t quadjax_module_enable; /* setting: 0 leaves the drone to the autopilot */
 
 void quadjax_module_init(void);
-void quadjax_module_periodic(void); /* at QUADJAX_FREQUENCY, 512 Hz */
+void quadjax_module_periodic(void); /* at QUADJAX_FREQUENCY of quadjax_policy.h */
 
 /* What is wrong with the policy, or 0. The module neither flies nor lets anybody arm unless it is 0. */
 const char *quadjax_module_wrong(void);
