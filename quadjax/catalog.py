@@ -5,15 +5,22 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.config.loading import generated, load_config, vehicle_configs
+from quadjax.config.layers import file_values
+from quadjax.config.loading import generated, load_config
 from quadjax.config.reference import commented_yaml
 from quadjax.config.reference import describe as keys_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import write_text
-from quadjax.core.resources import find_policy, policy_names, preset_names
+from quadjax.core.resources import find_file, find_policy, policy_names, preset_names
 from quadjax.core.sections import build
-from quadjax.core.yaml_files import Sources, parse_overrides, read_tree_with_bases, to_yaml
+from quadjax.core.yaml_files import (
+    Sources,
+    override,
+    parse_overrides,
+    read_tree_with_bases,
+    to_yaml,
+)
 from quadjax.evaluation.table import Table, number
 from quadjax.policy.file import Policy
 from quadjax.race.random_track import RandomTrack
@@ -84,6 +91,25 @@ def read_track(name: str) -> TrackSection:
     """A track by its name or file."""
     one_lap = "evaluate.laps=1"  # a course has one lap
     return load_config(PRESET, [f"track.file={name}", one_lap]).track
+
+
+def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
+    """A checked config for each model whose constants are in a vehicle file.
+
+    Args:
+        file: next to the current folder, or in ``configs/vehicles``.
+        model: only this one: ``motor``, ``rate`` or ``module:OBJECT``.
+
+    Raises:
+        InputError: an unreadable file, no known model in it, or invalid constants.
+    """
+    path = find_file(str(file), [Path()], "vehicles")
+    models = list(file_values("vehicle", path)["vehicle"]["models"])
+    names = [model] if model else [name for name in models if name in MODELS]
+    if not names:
+        raise InputError(f"{file}: has {', '.join(models) or 'no model'}; name its VehicleModel")
+    only = [override("vehicle.file", str(path)), "vehicle.width=0"]  # without a check of gates
+    return [load_config("e2e", [*only, override("vehicle.model", name)]) for name in names]
 
 
 def _vehicle_text(config: Config) -> str:

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json
 from quadjax.core.resources import CONFIGS
@@ -49,7 +48,6 @@ KINDS = {  # suffix, what writes a whole file, what reads it
         write_flight,
         lambda p: read_log(p, LogsConfig(format="paparazzi")),
     ),
-    "config": (".yaml", lambda p: p.write_text(load_config("e2e").to_yaml()), load_config),
     "plant": (
         ".yaml",
         lambda p: p.write_bytes((CONFIGS / "plant/standin.yaml").read_bytes()),
@@ -86,14 +84,6 @@ def whole(tmp_path_factory):
         write(path)
         contents[kind] = path.read_bytes()
     return contents
-
-
-def test_whole_files_are_read_and_a_byte_order_mark_is_skipped(tmp_path, whole):
-    for kind, (suffix, _, read) in KINDS.items():
-        path = tmp_path / f"{kind}{suffix}"
-        for mark in (b"", b"\xef\xbb\xbf") if suffix != ".pt" else (b"",):
-            path.write_bytes(mark + whole[kind])
-            read(path)
 
 
 @pytest.mark.parametrize("kind", KINDS)

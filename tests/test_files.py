@@ -73,7 +73,10 @@ def refusal(read, path):
 
 def test_policy_comes_back_as_it_went(tmp_path):
     bare = {key: value for key, value in POLICY_META.items() if key != "output"}
+    value = ((np.ones((17, 8)), np.zeros(8)), (np.full((8, 1), 0.5), np.array([3.0])))
     first = Policy.load(save(tmp_path / "a.npz", policy_arrays(), bare))
+    dataclasses.replace(first, value=value).save(tmp_path / "v.npz")
+    jax.tree.map(np.testing.assert_array_equal, Policy.load(tmp_path / "v.npz").value, value)
     assert first.layout.size == 17 and first.layout["thrust"].span == ((0.0, 15.0),)
     assert (first.vehicle, first.activation, first.config) == ("rate", "relu", None)
     np.testing.assert_array_equal(first.command_high, [3, 3, 3, 15])
@@ -107,14 +110,6 @@ def test_inference_from_a_file(tmp_path):
     assert noisy.min() >= -1 and noisy.max() <= 1 and noisy.std(axis=0).min() > 0.1
 
 
-def test_a_policy_may_have_its_critic(tmp_path):
-    value = ((np.ones((17, 8)), np.zeros(8)), (np.full((8, 1), 0.5), np.array([3.0])))
-    plain = Policy.load(save(tmp_path / "p.npz", policy_arrays(), POLICY_META))
-    assert plain.value is None
-    dataclasses.replace(plain, value=value).save(tmp_path / "v.npz")
-    jax.tree.map(np.testing.assert_array_equal, Policy.load(tmp_path / "v.npz").value, value)
-
-
 def test_a_policy_has_the_residual_that_it_was_trained_with(tmp_path):
     """It is also a residual file, and the config in it names the file itself."""
     first = Policy.load(save(tmp_path / "a.npz", policy_arrays(), POLICY_META))
@@ -130,16 +125,6 @@ def test_a_policy_has_the_residual_that_it_was_trained_with(tmp_path):
         jax.tree.map(np.testing.assert_array_equal, again, residual)
     first.save(tmp_path / "c.npz")
     assert "without a residual" in refusal(read_residual, tmp_path / "c.npz")
-
-
-def test_a_source_in_anybody_s_own_words(tmp_path):
-    for source, expected in (
-        ("my drone", {"source": "my drone"}),
-        (None, {}),
-        ({"a": 1}, {"a": 1}),
-    ):
-        path = save(tmp_path / "p.npz", policy_arrays(), POLICY_META | {"source": source})
-        assert Policy.load(path).source == expected
 
 
 def without(arrays, *names):
@@ -206,6 +191,11 @@ def test_what_is_no_such_file(tmp_path, read):
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("meta.npy", b"\x93NUMPY garbage")
     refusal(read, path)
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (" + b"9" * 5000 + b",)}\n"
+    with zipfile.ZipFile(path, "w") as archive:
+        data = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+        archive.writestr("kernel_0.npy", data)
+    assert len(refusal(read, path)) < 400 + len(str(path))
     with open(path, "wb") as stream:
         np.save(stream, np.zeros(3))
     refusal(read, path)
@@ -244,14 +234,9 @@ def test_whole_file_leaves_the_old_one_when_writing_fails(tmp_path):
     assert [p.name for p in path.parent.iterdir()] == ["a.txt"]
     write_text(path, "new")
     assert path.read_text() == "new"
-
-
-def test_json_has_no_nan(tmp_path):
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError):  # JSON has no NaN
         write_json(tmp_path / "a.json", {"x": float("nan")})
     assert not (tmp_path / "a.json").exists()
-    write_json(tmp_path / "a.json", {"x": 1.5})
-    assert json.loads((tmp_path / "a.json").read_text()) == {"x": 1.5}
 
 
 def test_a_shipped_residual_is_found_by_its_name(tmp_path, monkeypatch):
@@ -277,28 +262,12 @@ def test_only_the_arrays_of_the_format_are_read_and_their_sizes_are_checked(tmp_
     assert "kernel_0 has 4,398,046,511,104 bytes" in refusal(read, path)
 
 
-def test_an_array_that_the_format_does_not_name_is_not_read(tmp_path):
-    path = save(tmp_path / "p.npz", policy_arrays(), POLICY_META)
-    with zipfile.ZipFile(path, "a") as archive:
-        archive.writestr("ballast.npy", b"not an array")
-    assert len(Policy.load(path).layers) == 3
-
-
 @READERS
 def test_an_array_that_is_in_a_file_twice(tmp_path, read):
     path = save(tmp_path / "p.npz", policy_arrays() | residual_arrays(), POLICY_META)
     with zipfile.ZipFile(path) as archive:
         again = archive.read("kernel_0.npy")
     with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
+        archive.writestr("ballast.npy", b"not an array, and not of the format: it is not read")
         archive.writestr("kernel_0.npy", again)
     assert "kernel_0 is in the file more than once" in refusal(read, path)
-
-
-@READERS
-def test_a_header_of_thousands_of_digits_is_a_short_message(tmp_path, read):
-    path = tmp_path / "p.npz"
-    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (" + b"9" * 5000 + b",)}\n"
-    with zipfile.ZipFile(path, "w") as archive:
-        data = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
-        archive.writestr("kernel_0.npy", data)
-    assert len(refusal(read, path)) < 400 + len(str(path))

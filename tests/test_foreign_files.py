@@ -143,15 +143,6 @@ def test_a_reader_of_logs_in_a_file_needs_a_word_of_the_user(foreign, command, c
     assert ran(foreign)
 
 
-def test_improve_reads_logs_only_by_a_named_reader(foreign, capsys):
-    log_config(foreign.parent)
-    command = ("improve", "e2e", "--policy", "e2e", "--fit", "columns.yaml", "--logs", "log.csv")
-    for word, says in (("--output=o", "with --allow-code"), ("--allow-code", "has no critic")):
-        assert run(*command, word) == 2
-        assert says in capsys.readouterr().err
-    assert not ran(foreign)
-
-
 def test_a_reader_of_logs_on_the_command_line_is_imported(foreign, capsys):
     log_config(foreign.parent)
     path = foreign.parent / "columns.yaml"
@@ -161,18 +152,3 @@ def test_a_reader_of_logs_on_the_command_line_is_imported(foreign, capsys):
     with pytest.raises(InputError, match="only with allow_code=True"):
         load_fit_config(path, ["logs.files=[a.csv]"])
     assert LogsConfig(format="foreign:FORMAT").format == "foreign:FORMAT"
-
-
-def test_training_configs_that_the_user_names_may_name_code(foreign, capsys):
-    assert run("train", "mine.yaml") == 2
-    assert "has no 'MODEL'" in capsys.readouterr().err and ran(foreign)
-
-
-def test_runs_of_a_command_are_read_with_the_code_of_its_config(foreign):
-    with pytest.raises(InputError, match="has no 'MODEL'"):
-        seeds.evaluate_seed(foreign, 1, ["foreign:MODEL"])
-    sys.modules.pop("foreign")
-    with pytest.raises(InputError, match="has no 'MODEL'"):
-        curves.learning_figure({"rf": [foreign]}, ["foreign:MODEL"])
-    with pytest.raises(InputError, match="code that this file names is not imported"):
-        curves.learning_figure({"rf": [foreign]}, ["foreign:OTHER"])

@@ -14,7 +14,6 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.config.race import build_params
 from quadjax.core.errors import InputError
-from quadjax.core.folders import MARKER
 from quadjax.evaluation.evaluate import evaluate
 from quadjax.export.race_source import own_race
 from quadjax.learners import loop
@@ -104,28 +103,6 @@ def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_policy_without_its_checkpoints_is_a_run(tmp_path):
-    config = config_of("e2e_ppo")
-    (tmp_path / MARKER).write_text('{"kind": "training"}')
-    (tmp_path / "policy.npz").write_bytes(b"of another training")
-    for resume, says in ((False, "already contains a run"), (True, "no checkpoint")):
-        with pytest.raises(InputError, match=says):
-            training.train(config, tmp_path, resume=resume)
-    assert (tmp_path / "policy.npz").read_bytes() == b"of another training"
-    assert not (tmp_path / "config.yaml").exists()
-
-
-@pytest.mark.slow
-def test_a_run_begins_with_the_policy_of_a_file(tmp_path):
-    first = training.train(config_of("e2e_ppo", "run.steps=128"), tmp_path / "first")
-    word = f"run.initial_policy={first.folder / 'policy_last.npz'}"
-    still = ("learner.learning_rate=0", "schedules=null")
-    second = training.train(config_of("e2e_ppo", word, *still, "seed=1"), tmp_path / "second")
-    before, after = (arrays(run.folder / "policy_last.npz") for run in (first, second))
-    for key in before:
-        np.testing.assert_allclose(after[key], before[key], rtol=1e-5, err_msg=key)
-
-
 @pytest.mark.slow
 def test_the_critic_of_a_file_is_scaled_to_the_unit_of_the_reward(tmp_path):
     path = tmp_path / "first.npz"
@@ -194,17 +171,6 @@ def test_nothing_is_compiled_after_the_first_chunk(tmp_path, monkeypatch):
     training.train(config_of("e2e"), tmp_path / "run")
     assert len(after_chunk) == 4 and after_chunk[0] > 0
     assert after_chunk[1:] == after_chunk[:1] * 3
-
-
-@pytest.mark.slow
-def test_a_short_run_is_one_short_chunk_without_advice(tmp_path, capsys):
-    arguments = ("run.steps=64", "run.evaluate_every=1000000", "learner.rollout_length=4")
-    config = config_of("e2e_ppo", *arguments)
-    run = training.train(config, tmp_path / "run")
-    assert run.summary["steps"] == pytest.approx(64)
-    told = capsys.readouterr().err
-    assert told.splitlines()[0] == "e2e_ppo: 16 environments (learner.num_envs)"
-    assert "reward" in told and "no flight completes" not in told, told  # too early for advice
 
 
 @pytest.mark.slow

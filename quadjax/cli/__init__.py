@@ -141,15 +141,11 @@ def application(command: Callable[..., Any], name: str) -> "App":
 
 def usage() -> str:
     """The text of ``quadjax --help``."""
-    lines = [f"  {name:<10} {text}" for name, text in COMMANDS.items()]
-    return "\n".join(
-        [
-            "Usage: quadjax SUBCOMMAND ...",
-            "",
-            "Train racing policies for quadcopters and convert them to fixed-point C.",
-            "",
-            *lines,
-            "",
-            "quadjax SUBCOMMAND --help describes a subcommand; quadjax --version the version.",
-        ]
-    )
+    lines = "\n".join(f"  {name:<10} {text}" for name, text in COMMANDS.items())
+    return f"""Usage: quadjax SUBCOMMAND ...
+
+Train racing policies for quadcopters and convert them to fixed-point C.
+
+{lines}
+
+quadjax SUBCOMMAND --help describes a subcommand; quadjax --version the version."""

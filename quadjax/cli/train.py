@@ -14,7 +14,6 @@ from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.evaluation.seeds import train_seeds
 from quadjax.evaluation.training import write_evaluation
 from quadjax.learners.loop import NonFiniteError
-from quadjax.learners.parallel import prepare_devices
 from quadjax.training import run
 from quadjax.training.fine_tuning import check_policy, fine_tuning
 
@@ -75,7 +74,6 @@ def train(
     if fine_tune is not None:
         check_policy(settings, fine_tune)
         settings = fine_tuning(settings, fine_tune)
-    prepare_devices(settings.run.devices)
     folder = output / settings.name
     try:
         done = run.train(settings, folder, resume=resume, overwrite=overwrite, started=STARTED)

@@ -1,6 +1,7 @@
 """Checks that involve several keys of a config.
 
-Those of the race are of the first and of the last values of its schedules.
+Those of the race are of the first and of the last values of its schedules. One field is checked
+where it is declared, code where it is imported (``core.imports``), files where they are read.
 """
 
 import functools
@@ -31,8 +32,8 @@ def check(config: Config) -> None:
         _check_schedule(config, key, schedule)
     _check_effects(config)
     _check_observation(config)
-    last = at_end(config)
-    for race in (at_end(config, 0), last):
+    last = with_scheduled_values(config)
+    for race in (with_scheduled_values(config, 0), last):
         check_drone(race)
         _check_track(race)
         for index in range(len(race.track.gates)):
@@ -55,7 +56,7 @@ def with_body(config: Config, radius: float) -> Config:
     return config
 
 
-def at_end(config: Config, index: int = -1) -> Config:
+def with_scheduled_values(config: Config, index: int = -1) -> Config:
     """The config with the last value of every schedule; with ``index`` 0 the first."""
     for key, schedule in config.schedules.items():
         if schedule.linear[index] != "value":
@@ -69,7 +70,7 @@ def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
     learner = f" with learner.algorithm={config.learner.algorithm}"
     where = f"schedules{learner if key.startswith('learner.') else ''}"
     try:
-        value = value_at(config, key, missing=None)
+        value = value_at(config, key)
         if not isinstance(value, float):
             refuse(name, value, "the key of a number")
         where = name

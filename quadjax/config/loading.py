@@ -8,22 +8,20 @@ from typing import Any
 from quadjax.config.checks import check
 from quadjax.config.layers import (
     config_layers,
-    file_values,
     without_replaced,
 )
 from quadjax.config.scales import in_plain_units
 from quadjax.config.schema import Config, Rules, Vehicle
 from quadjax.core.errors import InputError, close_match, prefixed
 from quadjax.core.imports import load_object
-from quadjax.core.resources import find_config, find_file
+from quadjax.core.resources import find_config
 from quadjax.core.sections import BadValue, build, one_line_errors, refuse
-from quadjax.core.yaml_files import Sources, Tree, merge_layers, merge_trees, override
+from quadjax.core.yaml_files import Sources, Tree, merge_layers, merge_trees
 from quadjax.learners.ppo import PPO
 from quadjax.learners.section import LearnerSection
 from quadjax.learners.shac import SHAC
 from quadjax.race.random_track import RandomTrack, generate
 from quadjax.race.track import TrackSection
-from quadjax.vehicle.registry import MODELS
 from quadjax.vehicle.registry import model as vehicle_model
 from quadjax.vehicle.vehicle_file import for_each_rotor
 
@@ -45,8 +43,8 @@ def load_config(
 
     Args:
         config: the name of a preset, or a YAML file. A key ``base`` names one or several other
-            configs, over which this one is merged. A preset may be followed by parts and
-            overrides, separated by spaces: ``"e2e +fastest seed=1"``.
+            configs, over which this one is merged. A preset may be followed by parts, and by
+            overrides after them, separated by spaces: ``"e2e +fastest seed=1"``.
         overrides: ``key=value`` with dotted keys; the value is read as YAML. ``track=figure8`` is
             short for ``track.file=figure8.yaml``; likewise ``vehicle``. ``+PART`` merges
             ``PRESET_PART.yaml`` or, where there is none, ``PART.yaml`` over the config: of a folder
@@ -74,25 +72,6 @@ def load_config(
 
 
 load = load_config  # its name in the public interface
-
-
-def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
-    """A checked config for each model whose constants are in a vehicle file.
-
-    Args:
-        file: next to the current folder, or in ``configs/vehicles``.
-        model: only this one: ``motor``, ``rate`` or ``module:OBJECT``.
-
-    Raises:
-        InputError: an unreadable file, no known model in it, or invalid constants.
-    """
-    path = find_file(str(file), [Path()], "vehicles")
-    models = list(file_values("vehicle", path)["vehicle"]["models"])
-    names = [model] if model else [name for name in models if name in MODELS]
-    if not names:
-        raise InputError(f"{file}: has {', '.join(models) or 'no model'}; name its VehicleModel")
-    only = [override("vehicle.file", str(path)), "vehicle.width=0"]  # without a check of gates
-    return [load_config("e2e", [*only, override("vehicle.model", name)]) for name in names]
 
 
 def generated(tree: Tree, sources: Sources) -> Tree:

@@ -109,9 +109,9 @@ def build_params(config: Config) -> RaceParams:
         vehicle=vehicle,
         track=track,
         reward=_reward(config),
-        rules=_rules(config.rules, limit),
+        rules=_rules(config, limit),
         training_limits=as_leaves(limits.replace(pitch_deg=pitch)),
-        start=_start(config.start, track),
+        start=_start(config, track),
         disturbance=as_leaves(config.disturbance),
         randomization=_constants(config, spread),
         tracks=tracks,
@@ -123,34 +123,37 @@ def build_params(config: Config) -> RaceParams:
     )
 
 
-def leaves_without_zeros(section: SectionType, optional: Iterable[str]) -> SectionType:
-    """The section as leaves; an optional number that is 0 becomes None: nothing is computed."""
-    return as_leaves(section, [key for key in optional if getattr(section, key) == 0.0])
+def leaves_without_zeros(
+    config: Config, name: str, section: SectionType, optional: Iterable[str]
+) -> SectionType:
+    """A section as leaves; an optional number that is 0 becomes None: nothing is computed.
+
+    Not so the number of a key ``name.field`` that a schedule changes.
+    """
+    fixed = [key for key in optional if f"{name}.{key}" not in config.schedules]
+    return as_leaves(section, [key for key in fixed if getattr(section, key) == 0.0])
 
 
 def _reward(config: Config) -> Reward:
-    """The weights; an optional term of weight 0 has none, unless a schedule changes it."""
     optional = [key for key, term in REWARDS.items() if term.optional]
-    scheduled = {key.removeprefix("reward.") for key in config.schedules}
-    return leaves_without_zeros(config.reward, [key for key in optional if key not in scheduled])
+    return leaves_without_zeros(config, "reward", config.reward, optional)
 
 
-def _rules(rules: Rules, limit: float) -> Rules:
+def _rules(config: Config, limit: float) -> Rules:
     """The rules with room for random tracks, which need a position limit of ``limit``, m."""
+    rules = config.rules
     if rules.position_limit is not None:
         rules = rules.replace(position_limit=max(rules.position_limit, limit))
-    return leaves_without_zeros(rules, ("body_radius", "gate_frame"))
+    return leaves_without_zeros(config, "rules", rules, ("body_radius", "gate_frame"))
 
 
-def _start(start: Start, track: Track) -> Start:
-    """The starts, by default from the ground where the race starts there.
-
-    In a config, a ``race`` of None is that default. As a leaf, None is 0: no such start.
-    """
+def _start(config: Config, track: Track) -> Start:
+    """The starts; a ``race`` of None is from the ground where the race starts there, else 0."""
+    start = config.start
     if start.race is None:
         on_ground = track.start is not None and track.start.on_ground
         start = start.replace(race=FROM_GROUND if on_ground else 0.0)
-    return leaves_without_zeros(start, ("along_leg", "race"))
+    return leaves_without_zeros(config, "start", start, ("along_leg", "race"))
 
 
 def _mismatch(config: Config, vehicle: VehicleParams) -> Constants | None:

@@ -1,4 +1,4 @@
-"""The training config: every key with its default, unit, bounds and description.
+"""The training config: its sections, which declare each key with default, bounds and description.
 
 Lengths are in m, velocities in m/s, angles in deg where the name says so and in rad otherwise. The
 world frame is north-east-down, the body frame front-right-down.
@@ -218,7 +218,7 @@ class Config(Section):
         return isinstance(other, Config) and self.__dict__ == other.__dict__
 
     def at(self, key: str, value: Any) -> Self:
-        """The config with another value at a dotted key.
+        """The config with another value at a dotted key; only the field is checked.
 
         Raises:
             InputError: no such key, or a value that is not allowed.

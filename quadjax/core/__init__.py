@@ -1,1 +1,7 @@
-"""Code that all packages use: errors, files, vectors, frames and gradients."""
+"""Code that all packages use.
+
+Numerics: ``vectors``, ``quaternion``, ``frames``, ``trigonometry``, ``gradients``, ``filters``,
+``integrators``, ``mlp``, ``materialize``. ``environment`` is the interface of tasks and learners.
+Configs: ``sections``, their fields as arrays in ``traced``, ``yaml_files``, ``resources``. Files
+and errors: ``files``, ``folders``, ``errors``, ``imports``, ``interruptions``, ``provenance``.
+"""

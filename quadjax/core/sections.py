@@ -290,8 +290,8 @@ def is_section(hint: object) -> TypeGuard[type[Section]]:
     return isinstance(hint, type) and issubclass(hint, Section)
 
 
-def value_at(section: Section, key: str, missing: object = 1.0) -> object:
-    """A section's value of a dotted key; ``missing`` for a factor that a mapping does not list.
+def value_at(section: Section, key: str, missing: object = None) -> object:
+    """A section's value of a dotted key; ``missing`` for one that a mapping does not list.
 
     Raises:
         InputError: no such key, or a section.

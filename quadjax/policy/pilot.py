@@ -8,6 +8,7 @@ be zero while disturbances are not: a moment bias, or less thrust than modeled.
 """
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -82,17 +83,7 @@ def fit_race(
 
 
 def _arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) -> Layout:
-    """The layout with the fields of another one, in its order.
-
-    Args:
-        layout: of a race.
-        wanted: of a policy.
-        model: of the vehicle.
-        name: the policy's file, for the message.
-
-    Raises:
-        InputError: the race has no such field, or one of another size.
-    """
+    """The layout of a race with the fields of a policy's layout, in its order."""
     none = Observation(disturbance=NONE, highest_rpm=NONE)  # full speed without a battery
     fields = dict(fields_of(model, none))
     if model.actuators.name not in layout:  # of a drone that does not measure them
@@ -177,36 +168,27 @@ def fly_policy(
     params: RaceParams,
     policy: Policy,
     *,
-    laps: int = 6,
-    runs: int = 5,
-    from_hover: bool = True,
-    seed: int = 0,
     deterministic: bool = False,
-    trace: bool = False,
+    seed: int = 0,
     actor: Actor = fly,
     name: str = "policy",
-    gates: int | None = None,
+    **flight: Any,
 ) -> tuple[Laps, Trace | None]:
-    """Time a policy's laps; the observation is the one that it was trained with.
+    """Time a policy's laps, with the observation that it was trained with.
 
     Args:
         choices: of the race.
         params: of the race.
         policy: the policy.
-        laps: number of laps.
-        runs: number of independent drones.
-        from_hover: start at hover in the last gate, else from the training's random starts.
-        seed: of the noise, the disturbances and the starts.
         deterministic: fly the mean rather than samples.
-        trace: whether to record states and commands.
+        seed: of the noise, the disturbances and the starts.
         actor: ``(pilot, observation, noise) -> action``, which computes the commands; static.
         name: the policy's file, for messages.
-        gates: number of gates of the race in place of ``laps``.
+        flight: further arguments of ``fly_laps``.
 
     Raises:
         InputError: the policy does not fit the vehicle.
     """
     choices, params = fit_race(choices, params, policy, name)
     pilot = make_pilot(choices, params, policy, deterministic)
-    key = jax.random.key(seed)
-    return fly_laps(choices, params, actor, pilot, key, laps, runs, from_hover, trace, gates)
+    return fly_laps(choices, params, actor, pilot, jax.random.key(seed), **flight)

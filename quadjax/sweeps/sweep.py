@@ -68,7 +68,7 @@ class Sweep:
     def base_params(self) -> Params:
         """The base config's values of the keys of the space."""
         config = load_config(self.base, self.overrides)
-        return {key: stored(value_at(config, key)) for key in self.space}
+        return {key: stored(value_at(config, key, missing=1.0)) for key in self.space}
 
     def grid(self) -> dict[str, list[Value]]:
         """Every value of a grid by key."""
@@ -172,7 +172,7 @@ def load_sweep(path: Path | str, changes: Sequence[str] = ()) -> Sweep:
             with prefixed(f"space.{key}"):
                 if key in SET_BY_SWEEP:
                     raise ValueError(f"{key} is set by the sweep")
-                value = value_at(config, key)
+                value = value_at(config, key, missing=1.0)
                 space[key] = values.distribution(value)
             if key.split(".")[0] in RACE and key != "vehicle.model":
                 race[key] = value

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from quadjax.config.checks import at_end
+from quadjax.config.checks import with_scheduled_values
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.learners.schedules import Schedule
@@ -33,7 +33,7 @@ def fine_tuning(config: Config, policy: Path | str) -> Config:
         config: of the race in which the policy is to fly.
         policy: its file.
     """
-    last = at_end(config)
+    last = with_scheduled_values(config)
     rates = [name for name in RATES if name in type(config.learner).model_fields]
     first = {name: FIRST_RATE * getattr(config.learner, name) for name in rates}
     return last.replace(

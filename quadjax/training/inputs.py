@@ -19,7 +19,6 @@ from quadjax.vehicle.protocol import Motion
 from quadjax.vehicle.registry import model as vehicle_model
 
 NAMES = (*MOTION, "actuators")  # of the signals of a recorded state
-STARTS = 8  # random starts whose first step is computed
 
 
 def read_starts(config: Config, params: RaceParams) -> RecordedStarts | None:
@@ -90,31 +89,17 @@ def states_of(name: str, flights: list[Flight]) -> dict[str, np.ndarray]:
 
 
 def check_functions(config: Config, params: RaceParams) -> None:
-    """Compute the first step from random starts, where a config names functions of the user's.
+    """Trace a reset, an observation and a step, where a config names functions of the user's.
 
     Raises:
         InputError: a reward term, a rule or an observation field that raises an error, or returns
-            no scalar or a number that is not finite.
+            no scalar.
     """
-    terms, choices = config.reward.terms, choices_of(config)
-    if not (terms or config.rules.extra or config.observation.extra):
-        return
-    environment = make_environment(choices)
-
-    def first_step(key: jax.Array) -> tuple[jax.Array, jax.Array]:
-        state = environment.reset(params, key)
-        action = jnp.zeros(environment.action_size)
-        return environment.observe(params, state), environment.step(params, state, action)[1]
-
-    keys = jax.random.split(jax.random.key(0), STARTS)
-    observed, reward = jax.jit(jax.vmap(first_step))(keys)
-    label = f"reward (with terms {', '.join(terms)})" if terms else "reward"
-    layout, values = choices.layout, {label: reward}
-    for name in layout.names:
-        values[f"observation field {name!r}"] = observed[:, layout.slice(name)]
-    for label, numbers in values.items():
-        if not np.all(np.isfinite(numbers)):
-            raise InputError(f"{label} is not finite after a random start, expected finite numbers")
+    if config.reward.terms or config.rules.extra or config.observation.extra:
+        environment = make_environment(choices_of(config))
+        state = jax.eval_shape(environment.reset, params, jax.random.key(0))
+        jax.eval_shape(environment.observe, params, state)
+        jax.eval_shape(environment.step, params, state, jnp.zeros(environment.action_size))
 
 
 def check_learner(config: Config, learner: Learner, params: RaceParams) -> TrainState:

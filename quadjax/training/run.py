@@ -135,10 +135,7 @@ def _run(
     stop: threading.Event,
     enough: Callable[[Row], bool] | None,
 ) -> None:
-    """Compile, start or resume, train, and save.
-
-    Ends early once ``stop`` is set, or ``enough`` returns True.
-    """
+    """Compile, start or resume, train, and save; ends early after ``stop`` or ``enough``."""
     checkpoints = Checkpoints(folder / "checkpoints")
     fly = make_flights(job.config, job.params)
     chunk, first = _compile(job, fly, stop)
@@ -196,9 +193,6 @@ def _compile(
     """The compiled chunk and the first state; the evaluation is compiled at the same time.
 
     Compilation runs in threads, so that this one receives signals.
-
-    Raises:
-        KeyboardInterrupt: interrupted, and not compiled ``PATIENCE`` s later.
     """
     learner, params, mesh = job.learner, job.params, job.mesh
 

@@ -67,72 +67,61 @@ def residual_outputs(residual, rpm, velocity, rates):
         force, moment = residual_force_moment(residual, Rotors.of(w), Vec3.of(v), Vec3.of(r))
         return force, moment.array()
 
-    found = jax.jit(jax.vmap(one))(*(np.float32(x) for x in (rpm, velocity, rates)))
-    return [np.asarray(x) for x in found]
+    outputs = jax.jit(jax.vmap(one))(*(np.float32(x) for x in (rpm, velocity, rates)))
+    return [np.asarray(x) for x in outputs]
 
 
 @pytest.fixture
 def files(tmp_path):
     """Policy, standard deviations, thrust and moment, and the arrays of the three networks."""
-    (tmp_path / "nn_controller.c").write_text(CONTROLLER)
-    arrays = [
-        write_c(tmp_path / "neural_network.c", (24, 6, 4)),
-        write_c(tmp_path / "nn_thrust.c", (7, 5, 1), "nn_thrust_"),
-        write_c(tmp_path / "nn_moment.c", (10, 5, 3), "nn_moment_"),
-    ]
     names = ("neural_network.c", "nn_controller.c", "nn_thrust.c", "nn_moment.c")
-    return [tmp_path / name for name in names], arrays
-
-
-def test_a_policy_with_the_standard_deviations_of_a_second_file(tmp_path, files):
-    (network, controller, *_), (arrays, *_) = files
-    out = tmp_path / "policy.npz"
-    assert run("import", "e2e_paper", network, controller, "--output", out) == 0
-    policy = Policy.load(out)
-    assert policy.activation == "relu"
-    np.testing.assert_allclose(np.exp(policy.log_std), [0.1, 0.2, 0.3, 0.4], rtol=1e-6)
-    x = np.random.default_rng(1).normal(size=(9, 24))
-    own = mean_action(policy_params(policy), np.float32(x))
-    np.testing.assert_allclose(own, forward(arrays, x, activation=relu), rtol=1e-5, atol=1e-5)
+    paths = [tmp_path / name for name in names]
+    paths[1].write_text(CONTROLLER)
+    arrays = [
+        write_c(paths[0], (24, 6, 4)),
+        write_c(paths[2], (7, 5, 1), "nn_thrust_"),
+        write_c(paths[3], (10, 5, 3), "nn_moment_"),
+    ]
+    return paths, arrays
 
 
 @pytest.mark.parametrize("with_policy", [False, True])
 def test_a_residual_of_two_c_files(tmp_path, files, with_policy):
     """Also in one file with the policy, in place of a residual of the config that is not there."""
-    (network, controller, thrust, moment), (_, force_arrays, moment_arrays) = files
-    names = (network, controller, thrust, moment) if with_policy else (thrust, moment)
+    names, (policy_arrays, force_arrays, moment_arrays) = files
     out = tmp_path / "residual.npz"
-    assert run("import", "e2e_table1", *names, "--thrust-sign", 1, "--output", out) == 0
-    residual = read_residual(out)
+    words = (*(names if with_policy else names[2:]), "--thrust-sign", 1, "--output", out)
+    assert run("import", "e2e_table1", *words) == 0
     rpm, velocity, rates, scaled = flight_inputs(9)
-    force, moments = residual_outputs(residual, rpm, velocity, rates)
-    expected = forward(force_arrays, scaled, activation=relu)[:, 0]
-    np.testing.assert_allclose(force, expected, rtol=1e-5, atol=1e-5)
-    expected = forward(moment_arrays, np.concatenate([scaled, rates], axis=1), activation=relu)
-    np.testing.assert_allclose(moments, expected, rtol=1e-5, atol=1e-5)
+    force, moments = residual_outputs(read_residual(out), rpm, velocity, rates)
+    equal(force, forward(force_arrays, scaled, activation=relu)[:, 0])
+    both = np.concatenate([scaled, rates], axis=1)
+    equal(moments, forward(moment_arrays, both, activation=relu))
     if with_policy:
-        assert Policy.load(out).config["vehicle"]["residual"] == str(out)
+        policy = Policy.load(out)
+        assert policy.config["vehicle"]["residual"] == str(out) and policy.activation == "relu"
+        np.testing.assert_allclose(np.exp(policy.log_std), [0.1, 0.2, 0.3, 0.4], rtol=1e-6)
+        x = np.random.default_rng(1).normal(size=(9, 24))
+        own = mean_action(policy_params(policy), np.float32(x))
+        equal(own, forward(policy_arrays, x, activation=relu))
 
 
 def test_c_files_that_do_not_fit_are_one_line(tmp_path, files, capsys):
     (network, controller, thrust, moment), _ = files
     write_c(tmp_path / "tanh.c", (7, 5, 1), "nn_thrust_", "tanh(x);")
-    both = tmp_path / "both.c"
-    both.write_text(thrust.read_text() + moment.read_text())
-    three = tmp_path / "three.c"
-    three.write_text("const float output_std[3] = {0.1, 0.1, 0.1};")
-    whole = tmp_path / "whole.c"
-    whole.write_text(network.read_text() + CONTROLLER)
+    (tmp_path / "both.c").write_text(thrust.read_text() + moment.read_text())
+    (tmp_path / "three.c").write_text("const float output_std[3] = {0.1, 0.1, 0.1};")
+    (tmp_path / "whole.c").write_text(network.read_text() + CONTROLLER)
     sign = ("--thrust-sign", 1)
     for arguments, says in (
         ((network,), "no log_std or output_std"),
-        ((whole, controller), "has a standard deviation"),
+        ((tmp_path / "whole.c", controller), "has a standard deviation"),
         ((network, controller, "--std", 0.1), "--std has no effect"),
-        ((network, three), "3 standard deviations, expected 4"),
+        ((network, tmp_path / "three.c"), "3 standard deviations, expected 4"),
         ((thrust, moment), "--thrust-sign is missing"),
         ((moment, thrust, *sign), "the thrust network maps 10 inputs to 3 outputs"),
         ((tmp_path / "tanh.c", moment, *sign), "its activation is tanh, a residual has relu"),
-        ((both, moment, *sign), "has nn_thrust_weights_fc1, nn_thrust_weights_fc2, nn_mom"),
+        ((tmp_path / "both.c", moment, *sign), "has nn_thrust_weights_fc1, nn_thrust_weights"),
     ):
         assert run("import", "e2e_paper", *arguments, "--output", tmp_path / "out.npz") == 2
         error = capsys.readouterr().err

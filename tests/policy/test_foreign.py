@@ -9,7 +9,7 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Policy
-from quadjax.policy.foreign import policy_of, residual_of
+from quadjax.policy.foreign import residual_of
 from quadjax.policy.network_files import read_state_dict
 from quadjax.vehicle.residual import read_residual
 from tests.commands import run
@@ -54,26 +54,17 @@ def test_a_model_of_stable_baselines3(tmp_path, data, kind, activation):
 STD = "{0.1f, 0.2f, 0.3f, 0.4f}"
 
 
-@pytest.mark.parametrize("flat", [True, False])
-def test_arrays_of_c_source(tmp_path, flat):
-    arrays, path = linear((24, 6, 5, 4)), tmp_path / "neural_network.c"
-    path.write_text(c_source(arrays, std=STD, flat=flat))
-    policy = Policy.load(path, "e2e_paper")
-    assert policy.activation == "relu"
-    np.testing.assert_allclose(np.exp(policy.log_std), [0.1, 0.2, 0.3, 0.4], rtol=1e-6)
-    for index, (kernel, bias) in enumerate(policy.layers):
-        np.testing.assert_array_equal(kernel, arrays[f"{2 * index}.weight"].T)
-        np.testing.assert_array_equal(bias, arrays[f"{2 * index}.bias"])
-
-
 def test_motors_and_their_range_in_another_order(tmp_path):
     """INDIflight numbers rear-right, front-right, rear-left, front-left."""
     arrays, path, out = linear((24, 6, 4)), tmp_path / "a.c", tmp_path / "a.npz"
-    path.write_text(c_source(arrays, std=STD))
+    path.write_text(c_source(arrays, std=STD, flat=False))
     options = ("--motors", 4, 2, 1, 3, "--actuator-range", 0, 12000, "--output", out)
     assert run("import", "e2e_paper", path, *options) == 0
     policy, plain = Policy.load(out), Policy.load(path, "e2e_paper")
     assert policy.layout["rpm"].span == ((0.0, 12000.0),) * 4
+    for index, (kernel, bias) in enumerate(plain.layers):
+        np.testing.assert_array_equal(kernel, arrays[f"{2 * index}.weight"].T)
+        np.testing.assert_array_equal(bias, arrays[f"{2 * index}.bias"])
     seen = np.random.default_rng(0).normal(size=(3, 24)).astype(np.float32)
     there, where = seen.copy(), policy.layout.slice("rpm").start
     for own, other in enumerate((3, 1, 0, 2)):
@@ -204,14 +195,3 @@ def test_options_without_effect_are_refused(tmp_path, residual_files, capsys):
         error = capsys.readouterr().err
         assert says in error and error.count("\n") == 1
     assert not (tmp_path / "a.npz").exists()
-
-
-def test_a_policy_in_a_state_dict(tmp_path):
-    path = as_dict(tmp_path / "net", NET | {"log_std": np.full(4, -2.0, np.float32)})
-    policy = Policy.load(path, "e2e", activation="relu")
-    x = np.random.default_rng(0).normal(size=(9, 24)).astype(np.float32)
-    wanted = np.clip(forward(NET, x, activation=relu), -1, 1)
-    np.testing.assert_allclose(policy(x), wanted, atol=1e-5)
-    np.testing.assert_array_equal(policy.log_std, -2.0)
-    with pytest.raises(InputError, match="the lowest below the highest"):
-        policy_of(path, "e2e", "relu", None, None, (3000.0, 0.0))

@@ -77,17 +77,6 @@ def test_every_command_flies_the_same_race(name, races, tmp_path, capsys):
     assert Path(races[0].vehicle.residual or "").name == (residual or "")
 
 
-def test_the_race_of_a_preset_is_said(races, tmp_path, capsys):
-    said = "e2e.npz: flies the race of the preset e2e +residual, which the policy file names"
-    for command in commands(PRETRAINED / "e2e.npz", tmp_path):
-        run(*command)
-        words = " ".join(capsys.readouterr().err.split())
-        assert (said in words) == (command[0] != "export")  # whose report has it
-    assert (
-        race_of_policy(Policy.load("e2e"))[1] == "preset e2e +residual, which the policy file names"
-    )
-
-
 def test_a_file_without_a_race_is_refused_by_every_command(races, tmp_path, capsys):
     path = tmp_path / "alone.npz"
     dataclasses.replace(made_policy(8), source={"made": "up"}).save(path)

@@ -16,12 +16,7 @@ def attribute(step):
     return step.nosuch
 
 
-def nan(step):
-    return jnp.log(-1.0 - 0.0 * step.time_step)
-
-
 THREE = Field("three", 1, "m", "world", value=lambda view: [0.0] * 3)
-NAN = Field("nan", 1, "m", "world", value=lambda view: [jnp.float32(jnp.nan)])
 
 
 def learner(init, update):

@@ -1,8 +1,6 @@
 """The compilation cache: in the user's cache folder, private, and only if nothing is configured."""
 
-import os
 import stat
-import subprocess
 import sys
 from pathlib import Path
 
@@ -40,13 +38,6 @@ def enabled(monkeypatch):
         jax.config.update(name, value)
 
 
-def python(home, *arguments):
-    """Run Python with ``home`` as the user's cache folder."""
-    own = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "XLA_"))}
-    own |= {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(home)}
-    subprocess.run([sys.executable, *arguments], capture_output=True, env=own, check=True)
-
-
 def test_it_is_private_and_in_the_users_cache_folder(enabled, tmp_path):
     folder = enabled(tmp_path)
     assert Path(folder).is_relative_to(tmp_path / "quadjax")
@@ -63,14 +54,3 @@ def test_a_configured_folder_stays(enabled, tmp_path):
 def test_a_folder_that_cannot_be_made_means_no_cache(enabled, tmp_path):
     (tmp_path / "file").write_text("")
     assert enabled(tmp_path / "file") is None
-
-
-@pytest.mark.slow
-def test_commands_use_it_unless_it_is_off(tmp_path):
-    policy = ROOT / "quadjax/pretrained/e2e_nominal.npz"
-    command = ["-m", "quadjax", "evaluate", "e2e", "--policy", policy, "--laps", "1"]
-    command += ["--deterministic", "--runs", "1"]
-    python(tmp_path / "off", *command, "run.compilation_cache=false")
-    assert not list((tmp_path / "off").rglob("*-cache"))
-    python(tmp_path / "on", *command)
-    assert list((tmp_path / "on").rglob("*-cache"))

@@ -7,19 +7,16 @@ import sys
 
 import pytest
 
-from quadjax.cli.sweep import FILES as SWEEP_FILES
 from quadjax.config.loading import load_config
 from quadjax.config.race import build_vehicle
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
-from quadjax.core.folders import claim, kind_of, remove_files, replacement
+from quadjax.core.folders import claim, kind_of, replacement
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.yaml_files import to_yaml
-from quadjax.fitting.report import PATTERNS as FIT_FILES
 from quadjax.policy.file import Policy
-from quadjax.training.folder import FILES as TRAINING_FILES
 from quadjax.training.folder import check_same, prepare_folder
-from quadjax.training.result import SUMMARY, MetricsFile, is_finished, read_summary, saved_rows
+from quadjax.training.result import SUMMARY, MetricsFile, is_finished, saved_rows
 from tests.commands import run
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
@@ -103,18 +100,6 @@ def test_a_new_folder_is_removed_after_a_failure_that_wrote_nothing(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["two"]
 
 
-@pytest.mark.parametrize("patterns", [TRAINING_FILES, FIT_FILES, SWEEP_FILES])
-def test_overwriting_removes_only_the_files_of_the_program(tmp_path, patterns):
-    for name in patterns:
-        write_text(tmp_path / name.replace("*", "1"), "{}")
-    others = {".quadjax.json", ".lock", "notes.txt", "e2e.c", "e2e_report.json"}
-    others |= {"vehicle.yaml", "residual.npz", "policy.npz", "mine.yaml"} - set(patterns)
-    for name in others:
-        (tmp_path / name).write_text("mine")
-    remove_files(tmp_path, patterns)
-    assert {path.name for path in tmp_path.rglob("*") if path.is_file()} == others
-
-
 def test_results_replace_earlier_ones_only_when_they_are_complete(tmp_path):
     for name in ("report.txt", "notes.txt"):
         (tmp_path / name).write_text("before")
@@ -142,6 +127,14 @@ def test_a_run_of_another_config_names_the_key(tmp_path):
     check_same(config, tmp_path)
     with pytest.raises(InputError, match="seed: 0, the new config seed: 3"):
         check_same(load_config(BLANK, ["seed=3"]), tmp_path)
+
+
+def test_a_policy_without_its_checkpoints_is_a_run(tmp_path):
+    (tmp_path / "policy.npz").write_bytes(b"of another training")
+    for resume, says in ((False, "already contains a run"), (True, "no checkpoint")):
+        with pytest.raises(InputError, match=says):
+            prepare_folder(load_config(BLANK), tmp_path, resume=resume, overwrite=False)
+    assert not (tmp_path / "config.yaml").exists()
 
 
 def test_a_run_with_units_of_the_race_is_the_same_run(tmp_path):
@@ -174,15 +167,13 @@ def test_a_run_keeps_the_files_of_its_config(tmp_path):
     assert build_vehicle(config).residual is not None
     check_same(config, moved)
     assert prepare_folder(config, moved, resume=True, overwrite=False) == config
+    (moved / "notes.txt").write_text("mine")
     assert prepare_folder(config, moved, resume=False, overwrite=True) == config
-
-
-def test_a_checkpoint_without_its_config_is_a_run(tmp_path):
-    (tmp_path / "checkpoints/latest/3").mkdir(parents=True)
-    with pytest.raises(InputError, match="already contains a run"):
-        prepare_folder(load_config(BLANK), tmp_path, resume=False, overwrite=False)
-    prepare_folder(load_config(BLANK), tmp_path, resume=True, overwrite=False)
-    check_same(load_config(tmp_path / "config.yaml"), tmp_path)
+    assert (moved / "notes.txt").read_text() == "mine"
+    (moved / "inputs/residual.npz").write_bytes((PRETRAINED / "e2e.npz").read_bytes())
+    write_files(files)
+    with pytest.raises(InputError, match="residual.npz differs from vehicle.residual"):
+        check_same(load_config("e2e", overrides), moved)
 
 
 SUMMARY_1 = dict.fromkeys(SUMMARY, 1) | {"finished": True, "name": "run"}
@@ -209,21 +200,6 @@ def test_a_damaged_file_of_a_run_is_one_line(tmp_path):
             with pytest.raises(InputError, match=name) as caught:
                 read(tmp_path)
             assert "\n" not in str(caught.value)
-
-
-def test_a_run_of_another_file_names_the_key(tmp_path):
-    write_files(tmp_path / "files")
-    config = load_config("e2e", [f"vehicle.residual={tmp_path / 'files/r.npz'}"])
-    prepare_folder(config, tmp_path / "run", resume=False, overwrite=False)
-    (tmp_path / "files/r.npz").write_bytes((PRETRAINED / "e2e.npz").read_bytes())
-    with pytest.raises(InputError, match="residual.npz differs from vehicle.residual"):
-        check_same(config, tmp_path / "run")
-
-
-def test_a_summary_says_whether_the_run_has_finished(tmp_path):
-    assert not is_finished(tmp_path)
-    (tmp_path / "summary.json").write_text(json.dumps(SUMMARY_1))
-    assert is_finished(tmp_path) and read_summary(tmp_path) == SUMMARY_1
 
 
 def test_a_resumed_run_drops_the_rows_after_its_checkpoint(tmp_path):

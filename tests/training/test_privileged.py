@@ -37,12 +37,6 @@ def test_the_observation_of_training_ends_with_the_drawn_constants():
         assert float(found) == pytest.approx(error / most, abs=1e-4)
 
 
-def test_a_population_shows_every_constant():
-    drawn = "randomization.population=all_racing_drones"
-    config = make_config("vehicle=5inch", drawn, OWN[1])
-    assert len(privileged_constants(config)) == len(config.vehicle.constants)
-
-
 def test_only_the_value_takes_them():
     config = make_config(*OWN, SMALL, "network.normalize=true")
     networks = build_networks(config)

@@ -1,4 +1,4 @@
-"""The progress line at 80 columns."""
+"""What a training shows: on one line of 80 columns, with advice where no lap is completed."""
 
 import io
 
@@ -20,51 +20,33 @@ ROW = {
 }
 
 
-def shown(name, row):
+def printed(name, row, note=""):
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=True, width=80, color_system=None)
     with TrainingProgress(20_000_000, name, console) as progress:
         progress.show(row)
-    return [line for line in stream.getvalue().splitlines() if "%" in line][-1]
+        progress.note(note)
+    return stream.getvalue()
 
 
 def test_bar_percentage_time_and_laps_fit_in_80_columns():
     for name in ("e2e", "a_name_of_forty_letters_that_goes_on_and_on"):
         for laps in (15.8, 123.45, float("inf")):
-            line = shown(name, ROW | {"lap_total": laps, "best_lap_total": laps})
+            text = printed(name, ROW | {"lap_total": laps, "best_lap_total": laps})
+            line = [line for line in text.splitlines() if "%" in line][-1]
             assert "62%" in line and ":" in line and "265 k/s" in line
             assert "━" in line and "…" not in line.replace(name[:15] + "…", "")
-            assert ("crashes 40%" if laps > 1000 else f"laps {laps:.2f} s") in line
-
-
-def test_without_a_lap_the_reward_is_shown():
-    text = describe(ROW | {"lap_total": float("inf"), "best_lap_total": float("inf")})
-    assert "reward 0.123" in text and "inf" not in text
-    later = describe(ROW | {"lap_total": float("inf")})
-    assert "laps - s" in later and "15.70" in later
+            assert ("reward 0.123  crashes 40%" if laps > 1000 else f"laps {laps:.2f} s") in line
+    assert "laps - s, best 15.70" in describe(ROW | {"lap_total": float("inf")})
 
 
 def test_without_a_lap_it_says_what_ended_the_flights_and_what_to_change():
     causes, changes = no_lap(["hit a gate", "out of bounds", "hit a gate", ""], 1e8).split("\n", 1)
     assert causes.endswith("hit a gate (2 of 3), out of bounds (1 of 3)")
     assert "reward.gate_edge" in changes and "When it does not learn" in " ".join(changes.split())
+    assert causes in printed("run", ROW, causes)
     assert set(CHANGES) == {*TERMINATIONS, OUT_OF_TIME}  # every reason has its advice
     assert no_lap(["", ""], 1e8) == ""
     every = [no_lap([reason] * 9, steps) for reason in CHANGES for steps in (1e5, 1e8)]
     assert max(len(line) for text in every for line in text.splitlines()) < 80
-
-
-def test_after_a_short_run_the_advice_is_more_steps():
-    assert no_lap(["hit a gate"], 20_000).endswith(
-        "20,000 steps are few: the first laps take some millions (run.steps)"
-    )
-
-
-def test_a_note_is_printed_whole_above_the_progress():
-    stream = io.StringIO()
-    console = Console(file=stream, force_terminal=True, width=80, color_system=None)
-    with TrainingProgress(20_000_000, "run", console) as progress:
-        progress.show(ROW)
-        progress.note(no_lap(["hit the ground"], 1e8))
-    printed = " ".join(stream.getvalue().split())
-    assert "hit the ground (1 of 1)" in printed and "lower start.position" in printed
+    assert "20,000 steps are few" in no_lap(["hit a gate"], 20_000)

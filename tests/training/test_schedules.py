@@ -52,20 +52,22 @@ def test_the_default_preset_from_start_to_end():
     np.testing.assert_allclose(np.exp(1j * np.asarray(params.heading)), np.exp(1j * inside))
 
 
-def test_the_word_value_is_the_keys_own_value():
-    config = tiny("e2e +fastest", "reward.gate_edge=40", "learner.std=0.4")
-    expected = {0: (0.0, 0.4), 2: (16.0, 0.33), 5: (40.0, 0.225), 10: (40.0, 0.05)}
-    for (edge, std), (hyper, params) in zip(expected.values(), at(config, *expected), strict=True):
-        assert float(params.reward.gate_edge) == pytest.approx(edge, abs=1e-5)
-        assert float(hyper.std) == pytest.approx(std, rel=1e-5)
-    assert float(build_params(config).reward.gate_edge) == 40.0
-
-
-def test_steps_and_several_values():
+def test_steps_several_values_and_the_keys_own_value():
     schedule = "schedules.reward.gate={linear: [1, 3, 2], from: 64, until: 320}"
-    config = tiny("e2e", schedule)
-    found = [params.reward.gate for _, params in at(config, *range(7))]
-    np.testing.assert_allclose(found, [1, 1, 2, 3, 2.5, 2, 2], rtol=1e-6)
+    config = tiny("e2e +fastest", "reward.gate_edge=40", "learner.std=0.4", schedule)
+    found = at(config, *range(7))
+    np.testing.assert_allclose([p.reward.gate for _, p in found], [1, 1, 2, 3, 2.5, 2, 2])
+    (first, start), (middle, later), (last, end) = at(config, 0, 5, 10)
+    np.testing.assert_allclose([x.std for x in (first, middle, last)], [0.4, 0.225, 0.05])
+    np.testing.assert_allclose([x.reward.gate_edge for x in (start, later, end)], [0, 40, 40])
+
+
+def test_a_number_that_is_absent_at_zero_can_be_scheduled():
+    for key in ("start.along_leg", "rules.body_radius"):
+        section, name = key.split(".")
+        found = at(tiny("e2e", f"schedules.{key}={{linear: [0, 0.2]}}"), 0, 5, 10)
+        values = [getattr(getattr(params, section), name) for _, params in found]
+        np.testing.assert_allclose(values, [0.0, 0.1, 0.2], atol=1e-6)
 
 
 def test_constants_and_randomization_can_be_scheduled():

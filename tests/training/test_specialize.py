@@ -43,14 +43,6 @@ def test_drawn_constants_are_observed_from_minus_one_to_one():
     assert not any(seen[name].any() for name in set(names) - {"k_w", "tau"})
 
 
-def test_an_error_of_the_model_is_not_observed():
-    config = make_config(DRAWN, SEES, "vehicle.mismatch={k_w: 0.9}")
-    environment, params = make_race(config)
-    _, seen = observed(environment, params, jax.random.split(jax.random.key(0), 1))
-    size = len(race_of(config)[0].model.constant_names)
-    np.testing.assert_allclose(seen[0, -size:], 0.0, atol=1e-6)
-
-
 POPULATION = pytest.param("randomization.population=all_racing_drones", marks=pytest.mark.slow)
 
 
