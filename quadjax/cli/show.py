@@ -10,7 +10,6 @@ from quadjax.cli.options import Flag, Overrides, Picture, check_writable
 from quadjax.cli.output import wrote
 from quadjax.core.errors import InputError
 from quadjax.core.plotting import save_figure
-from quadjax.core.resources import listing
 from quadjax.evaluation.figures import trajectory_figure
 
 
@@ -48,7 +47,7 @@ def show(
         model: Your own VehicleModel (default: those in the vehicle file).
     """
     if what is None and write is None:
-        print(listing())
+        print(catalog.listing())
         return
     if what is None:
         print(catalog.keys_text(write or ""))

@@ -3,8 +3,6 @@
 In a checkout ``configs/`` is at the top of the repository; in a wheel it is inside the package.
 """
 
-import itertools
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,13 +13,6 @@ _BUNDLED = _PACKAGE / "configs"
 
 CONFIGS = _BUNDLED if _BUNDLED.is_dir() else _PACKAGE.parent / "configs"
 PRETRAINED = _PACKAGE / "pretrained"
-KINDS = {  # folders of configs
-    "presets": "",
-    "parts of presets (+NAME; a prefix e2e_ or indi_ limits a part to that preset and is left out "
-    "of NAME)": "parts",
-    "tracks": "tracks",
-    "vehicles": "vehicles",
-}
 
 
 def preset_names(folder: str = "") -> list[str]:
@@ -97,26 +88,3 @@ def find_policy(name: Path | str) -> Path:
 def policy_names() -> list[str]:
     """Names of the shipped policies."""
     return sorted(p.stem for p in PRETRAINED.glob("*.npz") if "residual" not in p.name)
-
-
-def listing() -> str:
-    """Names and descriptions of what comes with the package."""
-    lines = []
-    for kind, folder in KINDS.items():
-        names = preset_names(folder)
-        width = max(map(len, names))
-        lines += [textwrap.fill(f"{kind}:", 79)]
-        for name in names:
-            start = f"  {name:<{width}}  "
-            text = _description(CONFIGS / folder / f"{name}.yaml")
-            lines.append(textwrap.fill(start + text, 79, subsequent_indent=" " * len(start)))
-        lines.append("")
-    policies = textwrap.fill(", ".join(policy_names()), 77)
-    return "\n".join([*lines, "policies:", textwrap.indent(policies, "  ")])
-
-
-def _description(path: Path) -> str:
-    """The first sentence of the comment at the top of a file."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    comment = itertools.takewhile(lambda line: line.startswith("#"), lines)
-    return " ".join(line.lstrip("# ") for line in comment).split(". ")[0].removesuffix(".")

@@ -9,7 +9,6 @@ import pytest
 
 from quadjax.core.compilation_cache import enable_compilation_cache
 
-ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = (
     "jax_compilation_cache_dir",
     "jax_enable_compilation_cache",
@@ -46,11 +45,8 @@ def test_it_is_private_and_in_the_users_cache_folder(enabled, tmp_path):
     assert enabled(tmp_path) is None  # others could write to it
 
 
-def test_a_configured_folder_stays(enabled, tmp_path):
+def test_a_configured_folder_stays_and_one_that_cannot_be_made_is_none(enabled, tmp_path):
     assert enabled(tmp_path, folder=str(tmp_path / "own")) == str(tmp_path / "own")
     assert enabled(tmp_path, on=False) is None
-
-
-def test_a_folder_that_cannot_be_made_means_no_cache(enabled, tmp_path):
     (tmp_path / "file").write_text("")
     assert enabled(tmp_path / "file") is None
