@@ -84,7 +84,7 @@ class AirframeConfig(Section):
         (0.0, 0.0), description="fraction of its thrust that a rotor loses behind the others"
     )
     tilt_deg: float = Field(0.0, ge=0.0, le=10.0, description="largest tilt of a rotor's axis")
-    offset: tuple[float, float] = Field(
+    offset: tuple[Lever, Lever] = Field(
         (0.0, 0.0), description="m, largest distance of the center of gravity along x and y"
     )
 

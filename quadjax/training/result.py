@@ -108,10 +108,8 @@ def write_summary(
 ) -> None:
     """Write ``summary.json`` of a run at a position, ``finished`` if all steps were trained."""
     rows = saved_rows(folder / "metrics.csv")
-    last = rows[-1]["lap_total"] if rows else math.inf
-    best, last = (
-        round(x, 3) if math.isfinite(x) else None for x in (position.best_score, float(last))
-    )
+    scores = (position.best_score, rows[-1]["lap_total"] if rows else math.inf)
+    best, last = (round(x, 3) if math.isfinite(x) else None for x in scores)
     summary = {
         "name": config.name,
         "seed": config.seed,
