@@ -133,47 +133,7 @@ class Policy:
                     "network was trained in"
                 )
             return policy_of(path, config, activation, std)
-        arrays, meta = read_npz(path, FORMATS)
-        layers = tuple(read_layers(path, arrays))
-        actions = layers[-1][0].shape[1]
-        values = {key: meta[key] for key in Meta.model_fields if key in meta}
-        stated = build(Meta, values, f"{path}: meta")
-        low, high = np.array(stated.command_low), np.array(stated.command_high)
-        if not len(low) == len(high) == actions or not np.all(low < high):
-            raise InputError(
-                f"{path}: meta: command_low is {low.tolist()} and command_high {high.tolist()}, "
-                f"expected {actions} numbers each, as many as the last layer has outputs, the "
-                "first below the second"
-            )
-        if meta["format"] == RELEASE_1:
-            layout = layout_of_release_1(path, meta, low, high)
-        else:
-            layout = Layout.from_meta(meta.get("layout"), f"{path}: meta 'layout'")
-        if layers[0][0].shape[0] != layout.size:
-            raise InputError(
-                f"{path}: kernel_0 takes {layers[0][0].shape[0]} inputs, but the policy observes "
-                f"{layout.size} numbers"
-            )
-        source, own = meta.get("source") or {}, meta.get("config")
-        own, residual = own if isinstance(own, dict) else None, None
-        if "residual" in meta:
-            residual = from_arrays(path, arrays, meta["residual"])
-            if own and isinstance(own.get("vehicle"), dict):  # the residual is read from this file
-                own["vehicle"]["residual"] = str(path)
-        return cls(
-            layers=layers,
-            log_std=_log_std(path, arrays, actions),
-            vehicle=stated.vehicle,
-            activation=stated.activation,
-            command_low=low,
-            command_high=high,
-            layout=layout,
-            source=source if isinstance(source, dict) else {"source": source},
-            noise_on=stated.noise_on,
-            value=_value(path, arrays, layout.size),
-            config=own,
-            residual=residual,
-        )
+        return _read(path)
 
     def describe(self) -> str:
         """The widths of the layers and the activation, such as ``24-64-64-4, relu``."""
@@ -235,6 +195,51 @@ class Policy:
         shape = (*jax.numpy.shape(observation)[:-1], len(self.log_std))
         noise = jax.random.normal(key, shape)
         return jax.numpy.clip(inference.act_sampled(own, observation, noise), -1, 1)
+
+
+def _read(path: Path) -> Policy:
+    """The policy of a file of this project."""
+    arrays, meta = read_npz(path, FORMATS)
+    layers = tuple(read_layers(path, arrays))
+    actions = layers[-1][0].shape[1]
+    values = {key: meta[key] for key in Meta.model_fields if key in meta}
+    stated = build(Meta, values, f"{path}: meta")
+    low, high = np.array(stated.command_low), np.array(stated.command_high)
+    if not len(low) == len(high) == actions or not np.all(low < high):
+        raise InputError(
+            f"{path}: meta: command_low is {low.tolist()} and command_high {high.tolist()}, "
+            f"expected {actions} numbers each, as many as the last layer has outputs, the "
+            "first below the second"
+        )
+    if meta["format"] == RELEASE_1:
+        layout = layout_of_release_1(path, meta, low, high)
+    else:
+        layout = Layout.from_meta(meta.get("layout"), f"{path}: meta 'layout'")
+    if layers[0][0].shape[0] != layout.size:
+        raise InputError(
+            f"{path}: kernel_0 takes {layers[0][0].shape[0]} inputs, but the policy observes "
+            f"{layout.size} numbers"
+        )
+    source, own = meta.get("source") or {}, meta.get("config")
+    own, residual = own if isinstance(own, dict) else None, None
+    if "residual" in meta:
+        residual = from_arrays(path, arrays, meta["residual"])
+        if own and isinstance(own.get("vehicle"), dict):  # the residual is read from this file
+            own["vehicle"]["residual"] = str(path)
+    return Policy(
+        layers=layers,
+        log_std=_log_std(path, arrays, actions),
+        vehicle=stated.vehicle,
+        activation=stated.activation,
+        command_low=low,
+        command_high=high,
+        layout=layout,
+        source=source if isinstance(source, dict) else {"source": source},
+        noise_on=stated.noise_on,
+        value=_value(path, arrays, layout.size),
+        config=own,
+        residual=residual,
+    )
 
 
 def layout_of_release_1(
