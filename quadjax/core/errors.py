@@ -13,6 +13,7 @@ from pathlib import Path
 INTERRUPTED = 130  # exit status after Ctrl-C
 BAD_INPUT = 2  # exit status after bad input and after system errors
 MAX_LINE = 1000  # characters of a message that a command prints
+PASSWORD = re.compile(r"(?!://USER:)(://[^\s:/@]*:)\S*(?=@)")  # of a URL, but not of its form
 DEBUG = "QUADJAX_DEBUG"  # environment variable: if set, a command prints the traceback too
 USER_ERRORS = (Exception, SystemExit)  # what a user's own code may raise, apart from Ctrl-C
 USER_FILES: set[str] = set()  # of a user's modules that ``core.imports.load_object`` has imported
@@ -96,6 +97,7 @@ def run_command(main: Callable[[], int | None]) -> int:
         line = error_line(error)
         if line is None or os.environ.get(DEBUG):
             raise
+        line = PASSWORD.sub(r"\1***", line)
         line = re.sub(r"\S{201,}", lambda word: f"{word[0][:50]}...{word[0][-50:]}", line)
         print(f"error: {short(as_options(line), MAX_LINE, str)}", file=sys.stderr)
         return BAD_INPUT

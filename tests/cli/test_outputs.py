@@ -27,6 +27,8 @@ def test_the_url_of_a_database_is_told_with_its_password(tmp_path, capsys):
         capsys, "sweep", "learning_rate", "storage=postgres://bob:x@h/db", "--output", tmp_path
     )
     assert "USER:PASSWORD@HOST:PORT" in error and "bob:x" not in error
+    url = "executor=postgresql://bob:x@h/db"  # another key
+    assert "://bob:***@h/db" in refusal(capsys, "sweep", "learning_rate", url)
 
 
 @pytest.mark.parametrize("other", ["policy", "config", "figure", "link"])
