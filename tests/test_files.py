@@ -144,7 +144,7 @@ def with_value(inputs, outputs):
 POLICY_DAMAGE = {
     "no bias": (lambda a: without(a, "bias_1"), {}, "bias_1 is missing"),
     "no log_std": (lambda a: without(a, "log_std"), {}, "log_std"),
-    "nan": (lambda a: poked(a, "kernel_1", np.nan), {}, "kernel_1[0, 3] is nan"),
+    "nan": (lambda a: poked(a, "kernel_1", np.nan), {}, "layer 1, row 3: kernel_1[0, 3] is nan"),
     "large": (
         lambda a: poked(a, "kernel_1", -1e30),
         {},

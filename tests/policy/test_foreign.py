@@ -62,6 +62,7 @@ def test_motors_and_their_range_in_another_order(tmp_path):
     assert run("import", "e2e_paper", path, *options) == 0
     policy, plain = Policy.load(out), Policy.load(path, "e2e_paper")
     assert policy.layout["rpm"].span == ((0.0, 12000.0),) * 4
+    np.testing.assert_allclose(np.exp(plain.log_std), [0.1, 0.2, 0.3, 0.4], rtol=1e-6)
     for index, (kernel, bias) in enumerate(plain.layers):
         np.testing.assert_array_equal(kernel, arrays[f"{2 * index}.weight"].T)
         np.testing.assert_array_equal(bias, arrays[f"{2 * index}.bias"])
