@@ -19,6 +19,7 @@ from quadjax.core.files import check_file, read_json, write_json
 MARKER = ".quadjax.json"
 LOCK = ".lock"
 NEW = ".new-"  # prefix of folders of results that are not complete
+NOUNS = {"training": "a run", "logs": "logs"}  # of kinds, where not the kind with an article
 NO_RESULTS = {MARKER, LOCK, "config.yaml", "inputs"}  # in the folder of a failed command
 
 
@@ -77,14 +78,18 @@ def check_kind(folder: Path | str, kind: str, files: Iterable[str] = ()) -> None
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file, expected a folder")
     present = kind_of(folder)
-    if present not in (None, kind):
-        raise InputError(f"{folder} holds results of {present}, not of {kind}: choose another name")
+    if present is not None and present != kind:
+        raise InputError(f"{folder} holds {_noun(present)}, not {_noun(kind)}: choose another name")
     names = [path.name for pattern in files for path in sorted(folder.glob(pattern))]
     if present is None and names:
         raise InputError(
             f"{folder} holds no {kind}, but {', '.join(names[:3])}{', ..' * bool(names[3:])}: "
             "choose another folder, or replace these files (overwrite=True)"
         )
+
+
+def _noun(kind: str) -> str:
+    return NOUNS.get(kind, f"a{'n' * (kind[:1] in 'aeiou')} {kind}")
 
 
 def kind_of(folder: Path | str) -> str | None:

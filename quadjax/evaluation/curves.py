@@ -44,12 +44,12 @@ def training_figure(
         upwards: columns and labels of the panels that are drawn, as far as the first run has them.
 
     Raises:
-        InputError: none of the columns is there, no group, or more groups than colors.
+        InputError: none of the columns is there, no group or run, or more groups than colors.
     """
     if not 0 < len(groups) <= len(COLORS):
         raise InputError(f"{len(groups)} groups of runs to draw, allowed: 1 to {len(COLORS)}")
     drawn = {k: [runs] if isinstance(runs, Mapping) else runs for k, runs in groups.items()}
-    first = next(iter(drawn.values()))[0]
+    first: Metrics = next((run for runs in drawn.values() for run in runs), {})
     across = [name for name in ACROSS if name in first]
     rows = [x for x in upwards if x in first and (len(upwards) == 1 or np.isfinite(first[x]).any())]
     if not across or not rows:

@@ -193,8 +193,11 @@ def saved_rows(path: Path) -> list[Row]:
 def read_metrics(path: Path | str) -> dict[str, np.ndarray]:
     """The columns of a metrics CSV, (rows,) each; an empty cell is NaN.
 
+    A last row that is cut off is dropped.
+
     Raises:
-        InputError: no such file, no rows, or a cell that is not a number, by its line.
+        InputError: no such file, no rows, or a row without a number in each column, by its
+            line.
     """
     rows = _read_rows(path)
     if not rows:
@@ -203,13 +206,23 @@ def read_metrics(path: Path | str) -> dict[str, np.ndarray]:
 
 
 def _read_rows(path: Path | str) -> list[Row]:
+    lines = read_text(path).splitlines()
+    reader = csv.DictReader(lines)
+    try:
+        numbered = [(reader.line_num, row) for row in reader]
+    except csv.Error as error:
+        raise InputError(f"{path} line {reader.line_num}: {error}") from None
+    if numbered and None in numbered[-1][1].values():
+        numbered.pop()  # cut off
     rows: list[Row] = []
-    for line, row in enumerate(csv.DictReader(read_text(path).splitlines()), 2):
+    for number, row in numbered:
         try:
+            if None in row or None in row.values():
+                raise ValueError
             rows.append({name: float(cell or "nan") for name, cell in row.items()})
-        except (TypeError, ValueError):
-            cells = ",".join(map(str, row.values()))
+        except ValueError:
+            allowed = f"{len(reader.fieldnames or ())} numbers"
             raise InputError(
-                f"{path} line {line}: {cells!r:.80}, expected {len(row)} numbers"
+                f"{path} line {number}: {lines[number - 1]!r:.80}, expected {allowed}"
             ) from None
     return rows

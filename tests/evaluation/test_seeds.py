@@ -128,7 +128,7 @@ def test_runs_that_never_finish_or_cannot_be_compared(tmp_path):
 def test_training_curves_have_the_columns_of_a_metrics_file(tmp_path):
     path = tmp_path / "metrics.csv"
     rows = [f"{i},{0.5 * i},{i / 10},{'inf' if i < 4 else 20 - i}" for i in range(1, 6)]
-    path.write_text("\n".join(["steps,seconds,reward,lap_total", *rows]))
+    path.write_text("\n".join(["steps,seconds,reward,lap_total", *rows, "60"]))
     metrics = read_metrics(path)
     assert metrics["steps"].tolist() == [1, 2, 3, 4, 5]
     panels = training_figure({"run": metrics}, "run", ("published", 15.75)).axes
@@ -140,10 +140,14 @@ def test_training_curves_have_the_columns_of_a_metrics_file(tmp_path):
     assert len(training_figure({"run": no_laps}).axes) == 1
     with pytest.raises(InputError, match="columns steps; expected one of seconds"):
         training_figure({"run": {"steps": metrics["steps"]}})
+    with pytest.raises(InputError, match="columns none; expected one of seconds"):
+        training_figure({"run": []})
     for text, says in (
         ("", "no rows"),
         ("steps,reward\n1,x\n", "line 2: '1,x'"),
-        ("a,b\n1,2,3\n", "line 2"),
+        ("a,b\n1,2,3\n", "line 2: '1,2,3', expected 2 numbers"),
+        ("a,b\n1\n3,4\n", "line 2: '1', expected 2 numbers"),
+        ("a,b\n1,2\n\n3,x\n5,6\n", "line 4: '3,x'"),
     ):
         path.write_text(text)
         with pytest.raises(InputError, match=says):

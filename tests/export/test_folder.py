@@ -248,7 +248,7 @@ def test_folders_of_other_kinds_are_refused(exported, tmp_path):
         run.verify(exported, COUNT, only=("own flight",))
     (tmp_path / ".quadjax.json").write_text('{"kind": "training"}')
     for use in (read_folder, lambda folder: export_c(made_policy(8), folder)):
-        with pytest.raises(InputError, match="holds results of training"):
+        with pytest.raises(InputError, match="holds a run, not an export"):
             use(tmp_path)
 
 

@@ -81,7 +81,7 @@ def test_of_two_commands_in_one_folder_the_second_is_refused(tmp_path, capsys, k
     output = tmp_path / "one" if kind == "export" else tmp_path
     for other, says in (
         (kind, "in use by another process"),
-        ("notes", "holds results of notes, not of"),
+        ("notes", "holds a notes, not a"),
     ):
         with claim(tmp_path / "one", other):
             (tmp_path / "one" / "notes.txt").write_text("mine")
@@ -181,6 +181,10 @@ DAMAGED_SUMMARIES = ["[1]", "[" * 99999]
 DAMAGED_SUMMARIES += [json.dumps(SUMMARY_1 | each) for each in ({"steps": "x"}, {"seed": None})]
 
 
+DAMAGED_METRICS = ["steps,seconds\n1,x\n", "seconds\n1\n", "steps,seconds\n1,2,3\n"]
+DAMAGED_METRICS += ["steps,seconds\n1\n2,3\n", "steps,seconds\nx,\n", "steps,s\n1," + "1" * 200_000]
+
+
 def test_a_damaged_file_of_a_run_is_one_line(tmp_path):
     (tmp_path / "checkpoints/latest/3").mkdir(parents=True)
 
@@ -193,7 +197,7 @@ def test_a_damaged_file_of_a_run_is_one_line(tmp_path):
     for name, read, texts in (
         ("config.yaml", prepare, ("", "seed: 7")),
         ("summary.json", is_finished, DAMAGED_SUMMARIES),
-        ("metrics.csv", rows, ("steps,seconds\n1,x\n", "seconds\n1\n", "steps,seconds\n1,2,3\n")),
+        ("metrics.csv", rows, DAMAGED_METRICS),
     ):
         for text in texts:
             (tmp_path / name).write_text(text)
@@ -203,8 +207,11 @@ def test_a_damaged_file_of_a_run_is_one_line(tmp_path):
 
 
 def test_a_resumed_run_drops_the_rows_after_its_checkpoint(tmp_path):
+    """Also a last row that is cut off."""
     for text, kept in (
         ("", []),
+        ("steps,seconds\r\n12", []),
+        ("steps,seconds\n100,1\n200,2\n40", [1, 2]),
         ("steps,seconds\n100,1\n200,2\n300,3\n", [1, 2]),
     ):
         (tmp_path / "metrics.csv").write_text(text)
