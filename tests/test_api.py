@@ -95,7 +95,7 @@ def test_a_shipped_policy_is_evaluated(tmp_path):
 def test_a_number_out_of_range_is_one_line():
     policy = PRETRAINED / "e2e_nominal.npz"
     for argument, message in (
-        ({"runs": 2.5}, "runs is 2.5, allowed: a valid integer"),
+        ({"runs": 2.5}, "runs is 2.5, allowed: a whole number"),
         ({"start": "moon"}, "start is 'moon'"),
     ):
         with pytest.raises(quadjax.InputError, match=message):
@@ -107,5 +107,5 @@ def test_a_number_out_of_range_is_one_line():
 def test_a_preset_is_trained_by_its_name(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / ".quadjax.json").write_text('{"kind": "sweep"}')
-    with pytest.raises(quadjax.InputError, match="holds results of sweep, not of training"):
+    with pytest.raises(quadjax.InputError, match="holds a sweep, not a run"):
         quadjax.train("e2e", tmp_path / "run")

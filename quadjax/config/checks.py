@@ -19,6 +19,7 @@ from quadjax.vehicle.registry import model as vehicle_model
 
 SMALLEST_LEG = 0.01  # m
 MAX_THRUST = 1000.0  # times the weight
+INERTIA_TOLERANCE = 1.1  # of the triangle inequality, as moments of inertia are measured
 Values = Mapping[str, float]
 
 
@@ -150,7 +151,7 @@ def _check_is_default(config: Config, key: str, reason: str) -> None:
 
 
 def check_drone(config: Config) -> None:
-    """Check that the drone can hover, and that the integration of its actuators is stable.
+    """Check the constants, that the drone can hover, and that its actuators' integration is stable.
 
     Raises:
         InputError: a constant, a factor of the mismatch, or a population with which it cannot.
@@ -169,6 +170,13 @@ def check_drone(config: Config) -> None:
             refuse(f"vehicle.constants.{name}", constants[name], "a positive number")
         if declared.sign == "nonnegative" and constants[name] < 0:
             refuse(f"vehicle.constants.{name}", constants[name], "at least 0")
+    inertia = {name: constants[name] for name in model.groups.get("inertia", ())}
+    if len(inertia) == 3:
+        name = max(inertia, key=inertia.__getitem__)
+        others = sum(inertia.values()) - inertia[name]
+        if inertia[name] > INERTIA_TOLERANCE * others:
+            allowed = f"at most {others:g}, the sum of the other moments of inertia"
+            refuse(f"vehicle.constants.{name}", inertia[name], allowed)
     simulated = {name: value * factors.get(name, 1.0) for name, value in constants.items()}
     _check_thrust(model, constants, "")
     _check_thrust(model, simulated, " times vehicle.mismatch")
@@ -212,6 +220,9 @@ def _check_track(config: Config) -> None:
     ``rules.ground_speed``, and within the bounds.
     """
     rules, start, track, laps = config.rules, config.start, config.track, config.evaluate
+    for index, (low, high) in enumerate(rules.bounds or ()):
+        if low >= high:
+            refuse(f"rules.bounds[{index}]", [low, high], "[lowest, highest], which differ")
     if config.randomization.tracks is not None:
         if start.heading == "inside_turn":
             refuse("start.heading", start.heading, "north with randomization.tracks")

@@ -55,6 +55,16 @@ NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 FOLDER_NAME = r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}"
 FolderName = Annotated[str, Field(pattern=rf"^{FOLDER_NAME}$")]
+ALLOWED = {  # by the type of pydantic's error
+    "bool_type": "true or false",
+    "dict_type": "a mapping",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "mapping_type": "a mapping",
+    "model_type": "a mapping",
+    "string_type": "text",
+    "tuple_type": "a list",
+}
 
 
 def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
@@ -228,7 +238,7 @@ def _bad_value(
         return BadValue(key, reason if not key or key in reason else f"{key}: {reason}")
     if error["type"] == "missing":
         return BadValue(key, f"{key} is missing")
-    texts = [_allowed(e["msg"]) for e in errors if _location(e, tree) == location]
+    texts = [_allowed(e) for e in errors if _location(e, tree) == location]
     value = short(error["input"])
     if not key:
         return BadValue(key, f"{value} is not a mapping of keys to values")
@@ -249,10 +259,10 @@ def _location(error: Mapping[str, Any], tree: object) -> tuple[str | int, ...]:
     return tuple(location)
 
 
-def _allowed(message: str) -> str:
+def _allowed(error: Mapping[str, Any]) -> str:
     """What pydantic allows: "greater than 0", of "Input should be greater than 0"."""
-    text = re.sub(r"^\w+ should (be |have )?", "", message)
-    return text.partition(" after validation")[0].replace("a valid tuple", "a list")
+    text = re.sub(r"^\w+ should (be |have )?", "", error["msg"])
+    return ALLOWED.get(error["type"], text.partition(" after validation")[0])
 
 
 def dotted(location: Sequence[str | int]) -> str:

@@ -205,6 +205,7 @@ REFUSED = """
 vehicle.model=boat | vehicle.model is 'boat', allowed: motor, rate
 vehicle.constants.k_w=0 | vehicle.constants.k_w is 0.0, allowed: a positive number
 vehicle.constants.k_w=1 | give a thrust of 3.67e+06 to 4.93e+07 times the weight, allowed
+vehicle.constants.i_xx=1 | i_xx is 1.0, allowed: at most 0.003296, the sum of the other moments
 vehicle.width=1 | track.gates[0].size is [1.0, 1.0], allowed: above vehicle.width 1
 reward.overspeed=3 | reward.overspeed is 3.0, allowed: 20.0 without rules.speed_limit
 vehicle.constants.tau=0.005 | vehicle.constants.tau is 0.005, allowed: above 0.005 s
@@ -225,6 +226,7 @@ vehicle.constants.k_x=-1e-4 | vehicle.constants.k_x is -0.0001, allowed: at leas
 'schedules.vehicle.mismatch.k_w={linear: [1, 0.9]}' | is None, allowed: the key of
 'schedules.vehicle.residual_gain={linear: [0, value]}' | vehicle.residual_gain has no effect
 'rules.bounds=[[9, -9], [-9, 9], [-6, 0]]' | rules.bounds[0] is [9, -9], allowed: [low
+'rules.bounds=[[1, 1], [-9, 9], [-6, 0]]' | rules.bounds[0] is [1.0, 1.0], allowed: [low
 training_limits.gate_inflation=0.1 reward.gate_offset=0 | gate_inflation is 0.1
 learner.shuffle_block=7 | shuffle_block is 7, allowed: a divisor of 64 (rollout
 learner.algorithm=shac learner.num_envs=6 | critic_minibatches is 4, allowed: a di

@@ -69,8 +69,8 @@ def test_numbers_with_a_unit_become_plain_numbers():
         ("learner.horizon=1e308 leg times", "horizon is 1e308 leg times, .* at most 1e\\+09"),
         ("learner.num_envs=3 legs", "learner.num_envs is 3 legs, allowed: .* per leg time"),
         ("reward.gate_edge=3 legs", "gate_edge is 3 legs, allowed: .* per leg or per half gate"),
-        ("reward.gate=2 feet", "reward.gate is '2 feet', allowed: a valid number$"),
-        ("run.steps=1 leg times", "run.steps is '1 leg times', allowed: a valid integer$"),
+        ("reward.gate=2 feet", "reward.gate is '2 feet', allowed: a number$"),
+        ("run.steps=1 leg times", "run.steps is '1 leg times', allowed: a whole number$"),
         (
             "schedules.learner.std.linear=[1 legs, 2]",
             "learner.std.linear\\[0\\] is '1 legs', allowed",

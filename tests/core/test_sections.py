@@ -31,6 +31,7 @@ class Point(Section):
 class Example(Section):
     count: int = Field(3, ge=1, le=4096, description="a number of things")
     flag: bool = False
+    label: str = ""
     method: Literal["tpe", "grid"] = "tpe"
     widths: tuple[int, ...] = Field((64,), min_length=1, max_length=3)
     factors: dict[str, float] = {}
@@ -60,18 +61,21 @@ def test_build_takes_what_is_meant():
 
 REFUSED = [
     ({"sizes": [9]}, "sizes[0] is 9, allowed: less than or equal to 5"),
-    ({"count": 2.5}, "count is 2.5, allowed: a valid integer"),
-    ({"count": True}, "count is True, allowed: a valid integer"),
+    ({"count": 2.5}, "count is 2.5, allowed: a whole number"),
+    ({"count": True}, "count is True, allowed: a whole number"),
     ({"count": 0}, "count is 0, allowed: greater than or equal to 1"),
     ({"count": 10**5000}, "count is a number of thousands of digits, allowed: "),
-    ({"flag": "true"}, "flag is 'true', allowed: a valid boolean"),
+    ({"factors": 3}, "factors is 3, allowed: a mapping"),
+    ({"limit": "1"}, "limit is '1', allowed: a number"),
+    ({"label": 3}, "label is 3, allowed: text"),
+    ({"flag": "true"}, "flag is 'true', allowed: true or false"),
     ({"method": "cma"}, "method is 'cma', allowed: 'tpe' or 'grid'"),
     ({"widths": []}, "widths is [], allowed: at least 1 item"),
     ({"widths": 3}, "widths is 3, allowed: a list"),
     ({"limit": float("nan")}, "limit is nan, allowed: a finite number"),
     ({"points": [{"position": [1]}]}, "points[0].position[1] is missing"),
     ({"points": [{"positoin": [1, 2]}]}, "unknown key points[0].positoin; did you mean position?"),
-    ({"span": 3}, "span is 3, allowed: a valid dictionary or instance of Span"),
+    ({"span": 3}, "span is 3, allowed: a mapping"),
     ({"counts": 3}, "unknown key counts; did you mean count?; allowed there: count, factors,"),
     ({"flag": True}, "limit is None, allowed: a number with flag=true"),
 ]

@@ -92,7 +92,7 @@ def test_settings_come_from_files_and_overrides(tmp_path):
 
 
 IMPOSSIBLE = (
-    (["track.generate=3"], "track.generate is 3, allowed: a valid dictionary"),
+    (["track.generate=3"], "track.generate is 3, allowed: a mapping"),
     (["track.generate.leg=[5, 3]"], "leg is [5, 3], allowed: [lowest, highest]"),
     (["track.generate.leg=[1, 2]"], "leg is [1.0, 2.0], allowed: a longest of at least 2.3"),
     (["track.generate.leg_ratio=3"], "leg_ratio is 3, allowed with leg [3.0, 8.0]: less than"),
