@@ -89,7 +89,8 @@ class Disturbance(Section):
 class Randomization(Section):
     """Domain randomization: largest relative error of each constant, drawn in every episode.
 
-    A constant has the fraction of its group or that of ``all``, whichever is larger.
+    A constant has the fraction of its group or that of ``all``, whichever is larger; that of
+    ``all`` in a group that only a user's own vehicle model has.
     """
 
     all: Share = Field(0.0, description="every constant of the groups except gravity")
@@ -143,7 +144,7 @@ class Randomization(Section):
         fractions = dict.fromkeys(model.constant_names, 0.0)
         for group, names in model.groups.items():
             lowest = 0.0 if group == "gravity" else self.all
-            fractions |= dict.fromkeys(names, max(getattr(self, group), lowest))
+            fractions |= dict.fromkeys(names, max(getattr(self, group, 0.0), lowest))
         return {
             name: self.width * fraction for name, fraction in (fractions | self.constants).items()
         }

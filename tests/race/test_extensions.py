@@ -16,9 +16,11 @@ from quadjax.race.laps import Laps, fly_race, lap_length, starting_states, time_
 from quadjax.race.layout import Field, Layout
 from quadjax.race.observations import make_layout
 from quadjax.race.rules import terminations_of
+from quadjax.race.starts import Randomization
+from quadjax.vehicle.constants import constant
 from quadjax.vehicle.motor import MODEL
 from quadjax.vehicle.protocol import Signal
-from quadjax.vehicle.rate import Rate
+from quadjax.vehicle.rate import Rate, RateConstants
 from tests import reference as ref
 from tests.race.support import (
     HOVER,
@@ -127,6 +129,18 @@ def test_own_fields_are_appended_to_the_observation():
     np.testing.assert_array_equal(more, np.hstack([plain, [[1.5, 0.0, 0.0]] * 2]))
     assert own.layout.slice("height") == slice(24, 25)
     assert own.layout.size == 27 and own.layout.labels[24:] == ("height", "empty", "equal")
+
+
+def test_constants_of_a_group_of_ones_own_are_drawn_as_all():
+    class Winged(RateConstants):
+        lift: jax.Array = constant("1/m", "wing", "nonnegative")
+
+    class Model(Rate):
+        constants = Winged
+
+    fractions = Randomization(all=0.2, drag=0.3).by_constant(Model())
+    assert (fractions["lift"], fractions["d_x"], fractions["g"]) == (0.2, 0.3, 0.0)
+    assert Randomization(constants={"lift": 0.1}).by_constant(Model())["lift"] == 0.1
 
 
 def test_own_objects_are_named_in_the_config():

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.core.traced import as_leaves
+from quadjax.core.traced import as_leaves, with_leaves
+from quadjax.core.vectors import Vec3
 from quadjax.race import rewards, rules
 from quadjax.race.environment import exact_rules
 from quadjax.race.rewards import REWARDS, Reward
+from quadjax.race.step import Step
 from quadjax.race.track import build_track, gate, to_opening_frame
 from quadjax.vehicle.motor import MODEL
 from tests import reference as ref
-from tests.convert import rows_of, vec3
+from tests.convert import rows_of, state_of, vec3
 from tests.race.support import (
     COURSE,
     by_rows,
@@ -478,7 +480,7 @@ def test_full_thrust_takes_off_from_the_ground(course):
 
 
 def test_flying_near_the_speed_limit_has_a_penalty():
-    """A multiple of the reward for progress, above a part of the limit."""
+    """A multiple of the reward for progress, above a part of the limit; its gradient is smooth."""
     plain, race = make_race(), ruled(rules__speed_limit=8)
     rows = level(through(0, -2.0), [[5.8, 0, 0], [0, 7, 0]])
     states, value, _ = step(race, rows)
@@ -486,3 +488,12 @@ def test_flying_near_the_speed_limit_has_a_penalty():
     assert speed[0] < 6.0 < speed[1] < 8.0
     expected = 5.0 * 1.0 * 0.01 * np.maximum(speed - 6.0, 0.0)
     np.testing.assert_allclose(step(plain, rows)[1] - value, expected, atol=1e-5)
+    params = race[1].replace(reward=with_leaves(race[1].reward, progress=np.float32(2.0)))
+    drone = state_of("motor", np.zeros(22, np.float32))
+
+    def penalty(speed):
+        after = drone.replace(velocity=Vec3(speed, 0.0 * speed, 0.0 * speed))
+        return -5.0 * rewards.overspeed(Step(MODEL, params, None, None, after))
+
+    slope = jax.jit(jax.vmap(jax.grad(penalty)))
+    np.testing.assert_allclose(slope(np.float32([5.9, 6.1, -6.1])), [0.0, 10.0, -10.0], atol=1e-4)
