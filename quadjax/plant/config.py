@@ -13,6 +13,7 @@ from typing import Annotated, Literal, Self
 
 from quadjax.core.sections import (
     MAX_SEED,
+    ORDERED,
     Field,
     Fraction,
     NonNegative,
@@ -26,7 +27,7 @@ from quadjax.vehicle.battery import BatteryConfig
 
 Half = Annotated[float, Field(ge=0.0, le=0.5)]
 Delay = Annotated[float, Field(ge=0.0, le=0.05)]
-Range = tuple[Fraction, Fraction]  # a number is drawn between the two
+Range = Annotated[tuple[Fraction, Fraction], ORDERED]  # a number is drawn between the two
 Lever = Annotated[float, Field(ge=-1.0, le=1.0)]
 
 MAX_LATENCY = 60  # samples, of a motion capture pose
@@ -282,6 +283,6 @@ def load_plant_config(path: Path | str, overrides: Sequence[str] = ()) -> PlantC
 
 
 def without_effects(config: PlantConfig) -> PlantConfig:
-    """The same drone with every effect off and no delays: the training model."""
+    """The same drone with every effect off, no residual and no delays: the training model."""
     delay = DelayConfig(command=0.0, measurement=0.0)
-    return config.replace(effects=NO_EFFECTS, delay=delay)
+    return config.replace(effects=NO_EFFECTS, residual=None, delay=delay)

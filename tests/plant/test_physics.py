@@ -10,8 +10,10 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts, plant
-from quadjax.plant.config import PlantConfig, load_plant_config
+from quadjax.plant.airframe import airframe_force_moment
+from quadjax.plant.config import PlantConfig, load_plant_config, without_effects
 from quadjax.plant.plant import build_plant, drawn_factors
+from quadjax.vehicle.residual import read_residual, residual_force_moment
 from tests import reference as ref
 from tests.convert import command_of, rotors, rows_of, state_of, vec3
 from tests.plant import effects_reference as source
@@ -68,6 +70,40 @@ def test_with_all_off_its_derivative_is_the_training_models(rows, commands):
     agree(rows_of(found.body), ref.motor_derivative(ref.MOTOR, rows, commands), 2e-6)
     for left in jax.tree.leaves((found.rpm_rate, found.flex, found.flex_rate, found.charge)):
         assert not np.any(np.asarray(left))
+
+
+def test_a_residual_is_an_effect():
+    with_residual = PlantConfig(residual="standin_residual.npz")
+    assert without_effects(with_residual) == without_effects(PlantConfig())
+
+
+def test_the_plants_forces_have_its_airframe_and_its_residual(rows):
+    """Each adds what its function gives, by the speeds that the drone's rotors act with."""
+    rough = load_plant_config("rough")
+    physics = jax.tree.map(lambda x: x[0], physics_of(rows))
+    air, still = Vec3(*np.float32([3.0, -2.0, 1.0])), Rotors.same(np.float32(0.0))
+    residual = read_residual("standin_residual.npz")
+    compiled = jax.jit(plant.forces)
+
+    def added(params, without):
+        pairs = zip(*(compiled(x, physics, still, air) for x in (params, without)), strict=True)
+        return np.concatenate([(a - b).array() for a, b in pairs])
+
+    for strength in (1.0, 0.5, 0.0):
+        params = build_plant(rough.replace(effects=rough.effects.replace(airframe=strength)))
+        rpm = physics.body.actuators * params.rotor_factor
+        force, moment = airframe_force_moment(
+            params.airframe, params.rotors, params.vehicle.constants, params.mass, rpm, air
+        )
+        expected = strength * np.concatenate([force.array(), moment.array()])
+        np.testing.assert_allclose(
+            added(params, params.replace(airframe=None)), expected, rtol=1e-3, atol=2e-5
+        )
+    force_z, moment = residual_force_moment(residual, rpm, air, physics.body.rates)
+    params = build_plant(rough.replace(residual="standin_residual.npz"))
+    expected = np.concatenate([[0.0, 0.0, force_z], moment.array()])
+    assert abs(force_z) > 0.01
+    np.testing.assert_allclose(added(params, build_plant(rough)), expected, rtol=1e-3, atol=2e-5)
 
 
 ROTORS = PlantConfig().rotors.model_dump() | {
@@ -226,6 +262,7 @@ def test_constants_are_drawn_once_within_their_spread():
         ("sample_rate=400", "sample_rate"),
         ("navigation=gps", "navigation"),
         ("effects.flapping=-1", "effects.flapping"),
+        ("airframe.speed_loss=[0.2,0.1]", "is [0.2, 0.1], allowed: [lowest, highest]"),
         ("battery.charge=[1.0,0.5]", "battery.charge"),
         ("indi.cutoff=400", "indi.cutoff"),
         ("sensors.mocap.rate=501", "at most 500 Hz"),
