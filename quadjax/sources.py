@@ -85,7 +85,7 @@ def load_flights(
         _, meta = read_npz(path, (*POLICY_FORMATS, *files.FORMATS))
         if meta["format"] in POLICY_FORMATS:
             return fly(path, name, options)
-    return files.load(path, options.track.gates if options.track else (), name)
+    return files.load(path, () if options.race is None else options.race.track.gates, name)
 
 
 def _policy_of_run(folder: Path) -> Path:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.core.files import whole_file, write_json, write_text
+from quadjax.core.files import read_npz, whole_file, write_json, write_text
 from quadjax.policy.file import Policy
 from quadjax.vehicle.residual import read_residual, write_residual
 from tests import reference as ref
@@ -260,6 +260,13 @@ def test_only_the_arrays_of_the_format_are_read_and_their_sizes_are_checked(tmp_
         np.lib.format.write_array_header_1_0(header, described)
         archive.writestr("kernel_0.npy", header.getvalue())
     assert "kernel_0 has 4,398,046,511,104 bytes" in refusal(read, path)
+
+
+def test_an_array_with_a_header_of_version_3(tmp_path):
+    path = save(tmp_path / "p.npz", {}, POLICY_META)
+    with zipfile.ZipFile(path, "a") as archive, archive.open("kernel_0.npy", "w") as stream:
+        np.lib.format.write_array(stream, np.ones((3, 2)), version=(3, 0))
+    np.testing.assert_array_equal(read_npz(path, "quadjax-policy/1")[0]["kernel_0"], 1.0)
 
 
 @READERS

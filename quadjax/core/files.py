@@ -183,7 +183,8 @@ def _read_entry(path: Path | str, archive: zipfile.ZipFile, name: str) -> np.nda
     """One array of an ``.npz`` file, after a look at the size in its header."""
     headers = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}
     with archive.open(f"{name}.npy") as stream:
-        shape, _, dtype = headers[np.lib.format.read_magic(stream)[0]](stream)
+        version = np.lib.format.read_magic(stream)[0]  # 3 differs from 2 by names in UTF-8
+        shape, _, dtype = headers.get(version, headers[2])(stream)
     size = math.prod(shape) * dtype.itemsize
     if size > MAX_BYTES:
         raise InputError(f"{path}: {name} has {size:,} bytes, allowed: up to {MAX_BYTES:,}")

@@ -171,15 +171,16 @@ def _read_json(path: Path, name: str) -> Flight:
     """Lap times of a JSON file, of the fastest complete run or of a best known lap."""
     value = read_json(path)
     if "best_known" in value and value.get("start") == "periodic":
-        return lap_times(name, [float(value["best_known"])])
-    laps = value.get("laps")
+        laps: object = [[value["best_known"]]]
+    else:
+        laps = value.get("laps")
     try:
         rows = [np.array(row, np.float64) for row in laps] if isinstance(laps, list) else []
     except (TypeError, ValueError):
         rows = []
     whole = [row for row in rows if row.ndim == 1 and len(row) and np.isfinite(row).all()]
     if not whole:
-        raise InputError(f"{path}: expected laps: lists of times of complete runs")
+        raise InputError(f"{path}: expected laps: lists of times of complete runs, or best_known")
     return lap_times(name, min(whole, key=lambda row: float(row.sum())))
 
 

@@ -194,9 +194,12 @@ def read_guess(problem: Problem, path: Path | str) -> Trajectory:
     leg_times = np.diff(flight.passages[:, 0], prepend=0.0)
     legs, nodes = len(problem.order), len(flight.time)
     sizes = 3, 3, 3, 3, len(problem.start) - 13, len(problem.command_range[0])
-    if leg_times.shape != (legs,) or leg_times.min() <= 0.0 or nodes < 2 or (nodes - 1) % legs:
+    if leg_times.shape != (legs,) or nodes < 2 or (nodes - 1) % legs:
         text = f"a flight of {len(leg_times)} legs and {nodes} nodes"
         raise InputError(f"{path}: {text}, expected {legs} legs with as many intervals each")
+    if leg_times.min() <= 0.0:
+        leg = int(leg_times.argmin())
+        raise InputError(f"{path}: leg {leg + 1} takes {leg_times[leg]:g} s, allowed: above 0")
     for name, size in zip(SIMULATED, sizes, strict=True):
         values = flight[name] if name in flight.signals else np.zeros(0)
         if values.shape != (nodes, size) or not np.isfinite(values).all():

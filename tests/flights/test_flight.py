@@ -200,9 +200,10 @@ def test_lap_times_without_a_trajectory_are_flights_without_samples(tmp_path):
     assert times.name == "a" and len(times.time) == 0
     path.write_text(json.dumps({"best_known": 2.0, "start": "periodic"}))
     assert load(path)[0].lap_times == [2.0]
-    path.write_text(json.dumps({"laps": [[None]]}))
-    with pytest.raises(InputError, match="expected laps: lists of times of complete runs"):
-        load(path)
+    for damaged in ({"laps": [[None]]}, {"best_known": "x", "start": "periodic"}):
+        path.write_text(json.dumps(damaged))
+        with pytest.raises(InputError, match="expected laps: lists of times of complete runs"):
+            load(path)
 
 
 @pytest.mark.parametrize("change", ["signals", "time", "shape", "name", "crash"])

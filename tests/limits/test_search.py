@@ -60,6 +60,12 @@ def test_a_search_that_finds_nothing_exits_with_1_and_keeps_the_last_solution(
     flight = read_guess(_problem(), str(path))
     assert flight.total == 4.0
     np.testing.assert_allclose(flight.states, _trajectory(1.0).states, atol=1e-12)
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays["passages"][0, 2, 0] = arrays["passages"][0, 1, 0]
+    np.savez(path, **arrays)
+    with pytest.raises(InputError, match="leg 3 takes 0 s, allowed: above 0"):
+        read_guess(_problem(), str(path))
 
 
 @pytest.mark.slow
