@@ -66,6 +66,57 @@ def test_order_of_convergence(name, order):
     assert np.all(np.abs(measured - order) < 0.25), measured
 
 
+@pytest.mark.usefixtures("double")
+def test_free_fall_keeps_its_energy():
+    off = dict.fromkeys(("k_x", "k_y", "k_z", "k_w", "k_h"), 0.0)
+    params, (state, command) = VehicleParams(constants("motor", ref.MOTOR | off)), begin()
+    state = state.replace(force_ext=jax.tree.map(jnp.zeros_like, state.force_ext))
+
+    def energy(state):
+        rows = rows_of(state)
+        return 0.5 * np.sum(rows[ref.V] ** 2) - ref.MOTOR["g"] * rows[2]
+
+    fallen = fly("rk4", params, state, command, TIME, 64)
+    assert energy(fallen) == pytest.approx(energy(state), rel=1e-12)
+    np.testing.assert_allclose(rows_of(fallen)[5], rows_of(state)[5] + 9.81 * TIME, rtol=1e-12)
+
+
+@pytest.mark.usefixtures("double")
+def test_torque_free_tumbling_keeps_its_angular_momentum():
+    """Through a roll of 180 deg."""
+    names = ("k_p", "k_q", "k_pv", "k_qv", "k_r1", "k_r2", "k_rr")
+    params = VehicleParams(constants("motor", ref.MOTOR | dict.fromkeys(names, 0.0)))
+    state, command = begin()
+    zero = jax.tree.map(jnp.zeros_like, state.moment_ext)
+    rates = vec3(np.array([12.0, -2.0, 1.2]))
+    state = state.replace(moment_ext=zero, rates=rates)
+    inertia = np.array([ref.MOTOR[name] for name in ("i_xx", "i_yy", "i_zz")])
+
+    def momentum(state):
+        rows = rows_of(state)
+        return ref.rotation(rows[ref.EULER]) @ (inertia * rows[ref.RATES])
+
+    tumbled = fly("rk4", params, state, command, TIME, 256)
+    np.testing.assert_allclose(momentum(tumbled), momentum(state), rtol=1e-6)
+    assert np.abs(rows_of(tumbled)[ref.RATES] - rows_of(state)[ref.RATES]).max() > 0.1
+    assert rows_of(tumbled)[ref.EULER][0] > np.pi
+
+
+def test_the_references_rotations():
+    """By hand, orthogonal, and ``R' = R [Omega]x`` with the derivative taken numerically."""
+    east, up, right = ref.rotation(0.5 * np.pi * np.eye(3)[::-1])  # about z, y and x
+    np.testing.assert_allclose(east @ [1, 0, 0], [0, 1, 0], atol=1e-15)  # the nose
+    np.testing.assert_allclose(up @ [1, 0, 0], [0, 0, -1], atol=1e-15)  # the nose
+    np.testing.assert_allclose(right @ [0, 1, 0], [0, 0, 1], atol=1e-15)  # that wing down
+    random = np.random.default_rng(3)
+    euler, rates, h = random.uniform(-1.4, 1.4, (50, 3)), random.uniform(-10, 10, (50, 3)), 1e-6
+    matrix, turn = ref.rotation(euler), h * ref.euler_rates(euler, rates)
+    np.testing.assert_allclose(matrix @ np.swapaxes(matrix, 1, 2), [np.eye(3)] * 50, atol=1e-14)
+    slope = (ref.rotation(euler + turn) - ref.rotation(euler - turn)) / (2 * h)
+    spin = np.cross(rates[:, None], np.eye(3)).swapaxes(1, 2)  # columns Omega x e
+    np.testing.assert_allclose(slope, matrix @ spin, atol=1e-6)
+
+
 def test_sincos_stays_within_1e_7_over_20_rad():
     angle = np.linspace(-20, 20, 400_001).astype(np.float32)
     sine, cosine = jax.jit(frames.sincos)(angle)
