@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from quadjax import sources
+from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_npz
 from quadjax.core.resources import PRETRAINED
@@ -120,6 +121,17 @@ def test_code_that_a_policy_file_names_is_not_imported(tmp_path, capsys):
             assert run(*command) == 2
             assert "code that this file names is not imported" in capsys.readouterr().err
     assert "antigravity" not in sys.modules
+
+
+def test_states_of_earlier_versions_have_the_gates_of_the_race(tmp_path):
+    flight, race = circle("old"), load_config("e2e")
+    names = {"position": "position", "velocity": "velocity", "euler": "attitude", "rates": "rates"}
+    arrays = {old: flight[name] for old, name in names.items()}
+    meta = {"format": "quadjax-starts/1", "vehicle": "motor", "track": "square4"}
+    more = {"actuators": np.full((len(flight.time), 4), 7000.0), "target": 0 * flight.time}
+    write_npz(tmp_path / "old.npz", arrays | more, meta)
+    for options, gates in ((sources.DEFAULT, ()), (sources.Options(race=race), race.track.gates)):
+        assert load_flights(tmp_path / "old.npz", options=options)[0].gates == gates
 
 
 def test_a_run_shows_its_newest_policy_while_it_trains(tmp_path, monkeypatch):
