@@ -121,7 +121,7 @@ replay short.csv --policy e2e --residual x.npz | --residual --vehicle
 replay short.csv --policy e2e --drive wind | --drive
 replay short.csv --policy e2e --json x.txt | .txt
 replay short.csv --policy e2e --logs nosuch | nosuch
-logs --vehicle nosuch --output out | nosuch
+logs nosuch --policy e2e --output out | nosuch
 export nosuch --output out | nosuch
 export e2e --output notes.txt | notes.txt
 export e2e --output out --target avr | avr cortex-a9
