@@ -16,7 +16,6 @@ import sys
 import tempfile
 import time
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -72,13 +71,6 @@ def difference(data: bytes, error: int, original: np.ndarray) -> str:
     return f"Python accepts, the error of C is {error}" if error not in (0, TOO_LARGE) else ""
 
 
-def answers(stream: object) -> Iterator[tuple[bytes, int, int]]:
-    """Files, errors and numbers of originals from the fuzzer."""
-    while head := stream.read(12):
-        size, error, number = struct.unpack("<3I", head)
-        yield stream.read(size), error, number
-
-
 def mutate(files: list[Path], count: int, compared: int, seed: int, program: Path) -> list[str]:
     """What went wrong, one line each; the files that differ are written here."""
     originals = [np.fromfile(path, "<i4") for path in files]
@@ -86,7 +78,9 @@ def mutate(files: list[Path], count: int, compared: int, seed: int, program: Pat
     process = subprocess.Popen([program, *map(str, options), *files], stdout=subprocess.PIPE)
     assert process.stdout is not None
     wrong = []
-    for data, error, number in answers(process.stdout):
+    while head := process.stdout.read(12):
+        size, error, number = struct.unpack("<3I", head)
+        data = process.stdout.read(size)
         if text := difference(data, error, originals[number]):
             Path(f"difference_{len(wrong)}.qjp").write_bytes(data)
             wrong.append(f"difference_{len(wrong)}.qjp, of {files[number].name}: {text}")

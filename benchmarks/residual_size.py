@@ -18,7 +18,6 @@ import quadjax
 from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.flights import Flight
 from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.plant.plant import Physics, build_plant, forces, nominal_vehicle
 from quadjax.vehicle.motor import nominal_force, nominal_moment
@@ -26,16 +25,10 @@ from quadjax.vehicle.residual import read_residual, residual_force_moment
 from quadjax.vehicle.rigid_body import RigidBodyState
 
 
-def nominal_flight() -> Flight:
-    """Six laps of the mean action of ``e2e_nominal.npz`` on the nominal model."""
-    laps = quadjax.evaluate(
-        PRETRAINED / "e2e_nominal.npz", "e2e", runs=1, laps=6, deterministic=True
-    )
-    return laps.flights[0]
-
-
-def body_states(flight: Flight) -> list[np.ndarray]:
+def nominal_states() -> list[np.ndarray]:
     """Propeller speeds, rpm, velocity, m/s, body, and rates, rad/s, of each sample (n, .)."""
+    policy, options = PRETRAINED / "e2e_nominal.npz", {"laps": 6, "deterministic": True}
+    flight = quadjax.evaluate(policy, "e2e", runs=1, **options).flights[0]
 
     def turned(velocity: jax.Array, euler: jax.Array) -> jax.Array:
         return world_to_body(attitude(Vec3.of(euler)), Vec3.of(velocity)).array()
@@ -62,22 +55,13 @@ def of_residual(path: str, states: Sequence[np.ndarray]) -> tuple[np.ndarray, np
 
 def of_plant(config: PlantConfig, states: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """The same of a plant, high above the ground in still air."""
-    plant, nominal, zero = build_plant(config), nominal_vehicle(config).motor, jnp.zeros(())
-    still = Rotors.same(zero)
+    plant, nominal, still = build_plant(config), nominal_vehicle(config).motor, Rotors.zero()
+    none, aloft = Vec3.zero(), Vec3.of(jnp.array([0.0, 0.0, -100.0]))
 
     def at(rpm: jax.Array, velocity: jax.Array, rates: jax.Array) -> tuple[jax.Array, jax.Array]:
         speeds, v, w = Rotors.of(rpm), Vec3.of(velocity), Vec3.of(rates)
-        body = RigidBodyState(
-            position=Vec3(zero, zero, zero - 100.0),
-            velocity=v,
-            euler=Vec3.zero(),
-            rates=w,
-            actuators=speeds,
-            moment_ext=Vec3.zero(),
-            force_ext=Vec3.zero(),
-        )
-        physics = Physics(body, still, Vec3.zero(), Vec3.zero(), jnp.ones(()))
-        force, moment = forces(plant, physics, still, v)
+        body = RigidBodyState(aloft, v, none, w, speeds, none, none)
+        force, moment = forces(plant, Physics(body, still, none, none, jnp.ones(())), still, v)
         model = nominal_force(nominal, speeds, v)
         return force.z - model.z, (moment - nominal_moment(nominal, speeds, still, v, w)).array()
 
@@ -103,7 +87,7 @@ def main() -> None:
     parser.add_argument("files", nargs="*")
     parser.add_argument("--plant", nargs="+", default=[])
     arguments = parser.parse_args()
-    states = body_states(nominal_flight())
+    states = nominal_states()
     print("| residual | Fz mean / rms / largest, m/s^2 | Mx, My, Mz rms, N m |\n|---|---|---|")
     for path in arguments.files:
         print(row(Path(path).name, sizes(*of_residual(path, states))))

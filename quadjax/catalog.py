@@ -1,7 +1,5 @@
 """Presets, parts, policies, tracks and vehicles as text, and files of new tracks and vehicles."""
 
-import itertools
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,7 +12,7 @@ from quadjax.config.reference import describe as keys_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import write_text
-from quadjax.core.resources import CONFIGS, find_file, find_policy, policy_names, preset_names
+from quadjax.core.resources import find_file, find_policy, policy_names, preset_names
 from quadjax.core.sections import build
 from quadjax.core.yaml_files import (
     Sources,
@@ -35,36 +33,6 @@ from quadjax.vehicle.vehicle_file import VehicleFile
 
 PRESET = "e2e"  # the rules for a track file without rules
 COMMENT = "docs/guide/vehicle.md has the formulas. Fit flight logs for better constants."
-KINDS = {  # folders of configs
-    "presets": "",
-    "parts of presets (+NAME; a prefix e2e_ or indi_ limits a part to that preset and is left out "
-    "of NAME)": "parts",
-    "tracks": "tracks",
-    "vehicles": "vehicles",
-}
-
-
-def listing() -> str:
-    """Names and descriptions of what comes with the package."""
-    lines = []
-    for kind, folder in KINDS.items():
-        names = preset_names(folder)
-        width = max(map(len, names))
-        lines += [textwrap.fill(f"{kind}:", 79)]
-        for name in names:
-            start = f"  {name:<{width}}  "
-            text = _description(CONFIGS / folder / f"{name}.yaml")
-            lines.append(textwrap.fill(start + text, 79, subsequent_indent=" " * len(start)))
-        lines.append("")
-    policies = textwrap.fill(", ".join(policy_names()), 77)
-    return "\n".join([*lines, "policies:", textwrap.indent(policies, "  ")])
-
-
-def _description(path: Path) -> str:
-    """The first sentence of the comment at the top of a file."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    comment = itertools.takewhile(lambda line: line.startswith("#"), lines)
-    return " ".join(line.lstrip("# ") for line in comment).split(". ")[0].removesuffix(".")
 
 
 def kind_of(what: str) -> str:

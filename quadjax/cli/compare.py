@@ -6,15 +6,12 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from quadjax import compare as comparison
 from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
-from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.folders import results
+from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED
-from quadjax.evaluation.conditions import read_conditions
-from quadjax.plant.config import load_plant_config
 
 Part = Literal["table", "plants"]
 
@@ -60,6 +57,12 @@ def compare(
         sampled: Fly with the noise of training.
         seed: Seed of batteries, gusts and sensors.
     """
+    with loading():
+        from quadjax import compare as comparison
+        from quadjax.config.loading import load_config
+        from quadjax.evaluation.conditions import read_conditions
+        from quadjax.plant.config import load_plant_config
+
     started = time.monotonic()
     chosen, folder = tuple(parts or comparison.PARTS), output / name
     if "plants" not in chosen:

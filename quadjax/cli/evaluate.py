@@ -3,39 +3,29 @@
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 from cyclopts import Group, Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import note, steps, wrote
-from quadjax.config.loading import load_config
-from quadjax.config.race import race_of
-from quadjax.config.schema import Config as RaceConfig
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json
 from quadjax.core.folders import results
-from quadjax.core.plotting import save_figure
+from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED, policy_names, preset_names
-from quadjax.evaluation.conditions import read_conditions
-from quadjax.evaluation.evaluate import Evaluation, joined, tabulate
-from quadjax.evaluation.evaluate import evaluate as fly
-from quadjax.evaluation.report import FILES as REPORT_FILES
-from quadjax.evaluation.report import write_report
-from quadjax.export.emulator import fixed_point_fly
-from quadjax.export.ranges import parse_overrides, track_ranges
-from quadjax.policy.file import Policy
-from quadjax.policy.pilot import fit_race
-from quadjax.policy.race import policy_path, race_of_policy
-from quadjax.race.laps import Actor
-from quadjax.sources import load_groups
 
-FIGURES = {
-    "figure": Evaluation.plot,
-    "figure_3d": Evaluation.plot_3d,
-    "signals": Evaluation.plot_signals,
-    "attitude": Evaluation.plot_attitude,
+if TYPE_CHECKING:
+    from quadjax.config.schema import Config as RaceConfig
+    from quadjax.evaluation.evaluate import Evaluation
+    from quadjax.policy.file import Policy
+    from quadjax.race.laps import Actor
+
+FIGURES = {  # by option: the method of an evaluation
+    "figure": "plot",
+    "figure_3d": "plot_3d",
+    "signals": "plot_signals",
+    "attitude": "plot_attitude",
 }
 OF_LAPS = ("fixed_point", "range_", "offsets", "states", *FIGURES, "animation")
 RECORDED = Group("Recorded flights, in place of policies", sort_key=2)
@@ -143,6 +133,12 @@ def evaluate(
         attitude: Draw height and attitude over time.
         animation: Animate the flight.
     """
+    with loading():
+        from quadjax.evaluation.conditions import read_conditions
+        from quadjax.evaluation.evaluate import evaluate as fly
+        from quadjax.evaluation.evaluate import joined, tabulate
+        from quadjax.policy.race import policy_path
+
     if flights is not None:
         opt.refuse_others("with --flights", "flights", "logs", "report", "overwrite")
         return _report(config or "e2e", overrides, flights, logs, report, overwrite)
@@ -194,8 +190,14 @@ def evaluate(
 
 def _entry(
     path: Path, config: str | None, overrides: Sequence[str]
-) -> tuple[str, tuple[Policy, RaceConfig]]:
+) -> tuple[str, tuple["Policy", "RaceConfig"]]:
     """The path of a policy file; the policy and the race that it flies."""
+    from quadjax.config.loading import load_config
+    from quadjax.config.race import race_of
+    from quadjax.policy.file import Policy
+    from quadjax.policy.pilot import fit_race
+    from quadjax.policy.race import race_of_policy
+
     race = None if config is None else load_config(config, overrides)
     policy = Policy.load(path, race)
     try:
@@ -207,16 +209,22 @@ def _entry(
     return str(path), (policy, race)
 
 
-def _fixed_point(policy: Policy, race: RaceConfig, ranges: Sequence[str]) -> Actor:
+def _fixed_point(policy: "Policy", race: "RaceConfig", ranges: Sequence[str]) -> "Actor":
     """The arithmetic of C that is exported with ranges, as an actor."""
+    from quadjax.config.race import race_of
+    from quadjax.export.emulator import fixed_point_fly
+    from quadjax.export.ranges import parse_overrides, track_ranges
+
     _, params = race_of(race)
     return fixed_point_fly(
         policy, track_ranges(policy.layout, params.track) | parse_overrides(list(ranges))
     )
 
 
-def _offsets(evaluation: Evaluation) -> str:
+def _offsets(evaluation: "Evaluation") -> str:
     """A line on the distances from the gates' centers; none where no gate is passed."""
+    import numpy as np
+
     offsets = evaluation.gate_offsets
     if not offsets.size:
         return ""
@@ -226,15 +234,17 @@ def _offsets(evaluation: Evaluation) -> str:
 
 
 def _draw(
-    evaluation: Evaluation, files: Mapping[str, Path | None], report: Callable[[str], None]
+    evaluation: "Evaluation", files: Mapping[str, Path | None], report: Callable[[str], None]
 ) -> None:
     """Write the states, the figures and the animation, by their options."""
+    from quadjax.core.plotting import save_figure
+
     frames = itertools.count(1)
     for option, path in files.items():
         if path is None:
             continue
         if option in FIGURES:
-            save_figure(FIGURES[option](evaluation), path)
+            save_figure(getattr(evaluation, FIGURES[option])(), path)
         elif option == "states":
             evaluation.save_states(path)
         else:
@@ -250,6 +260,11 @@ def _report(
     overwrite: bool,
 ) -> None:
     """Tables and figures of recorded flights."""
+    from quadjax.config.loading import load_config
+    from quadjax.evaluation.report import FILES as REPORT_FILES
+    from quadjax.evaluation.report import write_report
+    from quadjax.sources import load_groups
+
     race = load_config(config, overrides)
     groups = load_groups(flights, race.track, logs.columns() if logs.logs else None)
     with results(folder, "report", REPORT_FILES, overwrite) as new:

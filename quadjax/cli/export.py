@@ -7,8 +7,7 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
-from quadjax.export.convert import export_c
-from quadjax.export.ranges import parse_overrides
+from quadjax.core.interruptions import loading
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS
 
 
@@ -50,6 +49,10 @@ def export(
         overwrite: Replace an earlier export; write to a folder that no export made, and
             replace its files of the same names.
     """
+    with loading():
+        from quadjax.export.convert import export_c
+        from quadjax.export.ranges import parse_overrides
+
     result = export_c(
         policy,
         output,

@@ -9,11 +9,8 @@ from cyclopts import Parameter
 from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
 from quadjax.core.folders import results
+from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
-from quadjax.fitting import fit as fits
-from quadjax.fitting.config import load_fit_config
-from quadjax.fitting.flight_log import find_logs
-from quadjax.fitting.report import PATTERNS, tables, write_figures, write_results
 
 
 def fit(
@@ -36,6 +33,12 @@ def fit(
 
     Example: quadjax fit paparazzi 'logs.files=[logs/*.csv]' --name my_drone
     """
+    with loading():
+        from quadjax.fitting import fit as fits
+        from quadjax.fitting.config import load_fit_config
+        from quadjax.fitting.flight_log import find_logs
+        from quadjax.fitting.report import PATTERNS, tables, write_figures, write_results
+
     started = time.monotonic()
     path = find_config(config, "fit")
     settings = load_fit_config(path, [*overrides, *([f"name={name}"] if name else [])], allow_code)

@@ -8,9 +8,7 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
-from quadjax.config.loading import load_config
-from quadjax.policy.foreign import policy_of, residual_of, sort_files
-from quadjax.vehicle.residual import write_residual
+from quadjax.core.interruptions import loading
 
 Motors = Annotated[
     tuple[int, int, int, int],
@@ -59,6 +57,11 @@ def import_(
         thrust_sign: 1: the thrust network is added to the force along body z; -1:
             subtracted (the paper).
     """
+    with loading():
+        from quadjax.config.loading import load_config
+        from quadjax.policy.foreign import policy_of, residual_of, sort_files
+        from quadjax.vehicle.residual import write_residual
+
     race = load_config(config, [text for text in files if opt.is_override(text)])
     networks, deviations = sort_files([text for text in files if not opt.is_override(text)], std)
     sign = None if thrust_sign is None else int(thrust_sign)

@@ -5,17 +5,11 @@ from typing import Annotated
 
 from cyclopts import Group, Parameter
 
-from quadjax import improve as loop
 from quadjax.cli import options as opt
 from quadjax.cli.output import command_again, steps
-from quadjax.config.loading import load_config
-from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import INTERRUPTED
 from quadjax.core.folders import claim, remove_files
-from quadjax.fitting.config import load_fit_config
-from quadjax.fitting.flight_log import find_logs
-from quadjax.learners.parallel import prepare_devices
-from quadjax.plant.config import load_plant_config
+from quadjax.core.interruptions import loading
 
 FLIGHTS = Group("Flights on the plant", sort_key=2)
 Rounds = Annotated[int, Parameter(converter=opt.whole(1, 100), group=FLIGHTS)]
@@ -67,6 +61,15 @@ def improve(
         output: Folder of the results.
         overwrite: Replace earlier results.
     """
+    with loading():
+        from quadjax import improve as loop
+        from quadjax.config.loading import load_config
+        from quadjax.core.compilation_cache import enable_compilation_cache
+        from quadjax.fitting.config import load_fit_config
+        from quadjax.fitting.flight_log import find_logs
+        from quadjax.learners.parallel import prepare_devices
+        from quadjax.plant.config import load_plant_config
+
     if logs:
         opt.refuse("with --logs", *ON_PLANT)
     race, model = load_config(config, overrides), load_fit_config(fit, allow_code=allow_code)

@@ -7,13 +7,8 @@ from cyclopts import Group, Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
-from quadjax.config.loading import load_config
 from quadjax.core.files import write_json
-from quadjax.core.interruptions import interruptions
-from quadjax.core.plotting import save_figure
-from quadjax.limits.problem import Flight
-from quadjax.limits.result import best_known, save_unverified
-from quadjax.limits.search import NotFoundError
+from quadjax.core.interruptions import interruptions, loading
 
 STOPPING = b"\nstopping: the best flight so far is kept; Ctrl-C again ends without it\n"
 FLIGHT = Group("The flight", sort_key=2)
@@ -68,6 +63,13 @@ def limit(
         npz: Write states and commands.
         figure: Draw path, speed and commands.
     """
+    with loading():
+        from quadjax.config.loading import load_config
+        from quadjax.core.plotting import save_figure
+        from quadjax.limits.problem import Flight
+        from quadjax.limits.result import best_known, save_unverified
+        from quadjax.limits.search import NotFoundError
+
     opt.exclude("laps", "gates")
     opt.exclude("centers", "clearance")
     race = load_config(config, overrides)

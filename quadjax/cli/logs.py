@@ -6,11 +6,8 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
-from quadjax.config.loading import load_config
 from quadjax.core.folders import results
-from quadjax.evaluation.plants import write_logs
-from quadjax.plant.config import load_plant_config
-from quadjax.plant.flights import plan_logs
+from quadjax.core.interruptions import loading
 
 
 def logs(
@@ -40,6 +37,12 @@ def logs(
         overwrite: Replace logs of the same names.
         race: Race of the policies.
     """
+    with loading():
+        from quadjax.config.loading import load_config
+        from quadjax.evaluation.plants import write_logs
+        from quadjax.plant.config import load_plant_config
+        from quadjax.plant.flights import plan_logs
+
     drone = load_plant_config(plant, overrides)
     plans = plan_logs(load_config(race), drone, [str(file) for file in policy], flights, laps)
     files = [f"{name}_*.csv" for name in plans]

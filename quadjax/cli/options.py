@@ -213,6 +213,10 @@ def check_outputs(command: Callable[..., Any], arguments: Mapping[str, Any]) -> 
         for text in (values if isinstance(values, (list, tuple)) else [values])
         if isinstance(text, (str, Path)) and "\0" not in str(text)
     ]
+    for name, text, _ in files[:]:
+        key, _, value = str(text).partition("=")
+        if is_override(str(text)) and key.split(".")[-1] != "name":
+            files.append((name, text, os.path.realpath(value)))
     for name, path, real in files:
         for mark in getattr(hints[name], "__metadata__", ()):
             if isinstance(mark, Output):

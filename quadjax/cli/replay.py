@@ -7,19 +7,10 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import note, steps, wrote
-from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.folders import results
-from quadjax.core.plotting import save_figure
-from quadjax.core.provenance import provenance
-from quadjax.evaluation.report import FORMATS
-from quadjax.export.race_source import own_race
-from quadjax.fitting.flight_log import read_log
-from quadjax.policy.file import Policy
-from quadjax.policy.race import race_of_policy
-from quadjax.replay import FILES, text_of
-from quadjax.replay import replay as replay_log
+from quadjax.core.interruptions import loading
 
 
 def replay(
@@ -62,6 +53,18 @@ def replay(
         drive: Drive the model by logged commands or rotor speeds (commands if there are any).
         json: Write the numbers there as well.
     """
+    with loading():
+        from quadjax.config.loading import load_config
+        from quadjax.core.plotting import save_figure
+        from quadjax.core.provenance import provenance
+        from quadjax.evaluation.report import FORMATS
+        from quadjax.export.race_source import own_race
+        from quadjax.fitting.flight_log import read_log
+        from quadjax.policy.file import Policy
+        from quadjax.policy.race import race_of_policy
+        from quadjax.replay import FILES, text_of
+        from quadjax.replay import replay as replay_log
+
     if policy is None and vehicle is None:
         raise InputError("--policy or --vehicle is required (try --help)")
     if vehicle is None:

@@ -1,16 +1,25 @@
 """``quadjax show``."""
 
+import itertools
+import textwrap
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from quadjax import catalog
 from quadjax.cli.options import Flag, Overrides, Picture, check_writable
 from quadjax.cli.output import wrote
 from quadjax.core.errors import InputError
-from quadjax.core.plotting import save_figure
-from quadjax.evaluation.figures import trajectory_figure
+from quadjax.core.interruptions import loading
+from quadjax.core.resources import CONFIGS, policy_names, preset_names
+
+KINDS = {  # folders of configs
+    "presets": "",
+    "parts of presets (+NAME; a prefix e2e_ or indi_ limits a part to that preset and is left out "
+    "of NAME)": "parts",
+    "tracks": "tracks",
+    "vehicles": "vehicles",
+}
 
 
 def show(
@@ -47,8 +56,13 @@ def show(
         model: Your own VehicleModel (default: those in the vehicle file).
     """
     if what is None and write is None:
-        print(catalog.listing())
+        print(listing())
         return
+    with loading():
+        from quadjax import catalog
+        from quadjax.core.plotting import save_figure
+        from quadjax.evaluation.figures import trajectory_figure
+
     if what is None:
         print(catalog.keys_text(write or ""))
         return
@@ -68,3 +82,26 @@ def show(
         save_figure(trajectory_figure([], track.gates, track.name), figure)
     print(text)
     wrote(figure)
+
+
+def listing() -> str:
+    """Names and descriptions of what comes with the package."""
+    lines = []
+    for kind, folder in KINDS.items():
+        names = preset_names(folder)
+        width = max(map(len, names))
+        lines += [textwrap.fill(f"{kind}:", 79)]
+        for name in names:
+            start = f"  {name:<{width}}  "
+            text = _description(CONFIGS / folder / f"{name}.yaml")
+            lines.append(textwrap.fill(start + text, 79, subsequent_indent=" " * len(start)))
+        lines.append("")
+    policies = textwrap.fill(", ".join(policy_names()), 77)
+    return "\n".join([*lines, "policies:", textwrap.indent(policies, "  ")])
+
+
+def _description(path: Path) -> str:
+    """The first sentence of the comment at the top of a file."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    comment = itertools.takewhile(lambda line: line.startswith("#"), lines)
+    return " ".join(line.lstrip("# ") for line in comment).split(". ")[0].removesuffix(".")

@@ -11,14 +11,8 @@ from quadjax.cli.output import steps, wrote
 from quadjax.cli.view import view as show
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.folders import kind_of, results
-from quadjax.core.interruptions import interruptions
+from quadjax.core.interruptions import interruptions, loading
 from quadjax.core.resources import policy_names
-from quadjax.export.convert import KIND
-from quadjax.plant.config import load_plant_config
-from quadjax.sil.faults import WRONG_UNITS, Faults, parse_nan
-from quadjax.sil.fly import INTERRUPTED as STOPPED
-from quadjax.sil.fly import Timing
-from quadjax.sil.run import FILES, STATES_FILE, Setting, fly_all
 
 STOPPING = b"\nstopping: the flight so far is saved; Ctrl-C again ends without saving\n"
 FAULTS = Group("Faults, of messages in either direction", sort_key=2)
@@ -97,6 +91,13 @@ def sil(
             rotor_speed=rpm; may be repeated.
         view: Show the flight in the browser.
     """
+    with loading():
+        from quadjax.plant.config import load_plant_config
+        from quadjax.sil.faults import WRONG_UNITS, Faults, parse_nan
+        from quadjax.sil.fly import INTERRUPTED as STOPPED
+        from quadjax.sil.fly import Timing
+        from quadjax.sil.run import FILES, STATES_FILE, Setting, fly_all
+
     source = source if listen else _folder_of(source)
     opt.exclude("plant", "simulator")
     if not source.is_dir():
@@ -137,6 +138,8 @@ def _folder_of(source: Path) -> Path:
     Raises:
         InputError: there is none; with what to run instead.
     """
+    from quadjax.export.convert import KIND
+
     if source.is_dir():
         return source
     if source.suffix == ".qjp" and source.is_file():

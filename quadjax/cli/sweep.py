@@ -8,12 +8,8 @@ from cyclopts import Parameter
 from quadjax.cli import options as opt
 from quadjax.core.errors import INTERRUPTED
 from quadjax.core.folders import check_kind, claim, remove_files
+from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
-from quadjax.sweeps.report import write_report
-from quadjax.sweeps.run import run_sweep, train_and_fly
-from quadjax.sweeps.study import OPEN, State, count, delete_study, open_study, progress
-from quadjax.sweeps.sweep import load_sweep
-from quadjax.sweeps.workers import make_workers
 
 FIGURES = ("parallel.png", "slices.png", "importances.png")
 FILES = ("study.journal*", "trials", "trials.csv", "logs", "report.md", "best.yaml", *FIGURES)
@@ -43,6 +39,13 @@ def sweep(
         report: Only report the finished trials.
         overwrite: Remove the trials first.
     """
+    with loading():
+        from quadjax.sweeps.report import write_report
+        from quadjax.sweeps.run import run_sweep, train_and_fly
+        from quadjax.sweeps.study import OPEN, State, count, delete_study, open_study, progress
+        from quadjax.sweeps.sweep import load_sweep
+        from quadjax.sweeps.workers import make_workers
+
     changes = [*overrides, *([f"executor.workers={workers}"] if workers else [])]
     plan = load_sweep(find_config(config, "sweeps"), changes)
     folder, kind = output / plan.file.name, plan.file.executor.kind

@@ -9,13 +9,8 @@ from cyclopts import Group, Parameter
 from quadjax.cli import STARTED
 from quadjax.cli import options as opt
 from quadjax.cli.output import command_again, steps, wrote
-from quadjax.config.loading import load_config
 from quadjax.core.errors import INTERRUPTED, InputError
-from quadjax.evaluation.seeds import train_seeds
-from quadjax.evaluation.training import write_evaluation
-from quadjax.learners.loop import NonFiniteError
-from quadjax.training import run
-from quadjax.training.fine_tuning import check_policy, fine_tuning
+from quadjax.core.interruptions import loading
 
 SEEDS = Group("Several seeds", sort_key=2)
 
@@ -56,6 +51,14 @@ def train(
         runs: Flights of each kind in the table of seeds.
         figure: Learning curves of the seeds (default: DIR/NAMES_seeds.png).
     """
+    with loading():
+        from quadjax.config.loading import load_config
+        from quadjax.evaluation.seeds import train_seeds
+        from quadjax.evaluation.training import write_evaluation
+        from quadjax.learners.loop import NonFiniteError
+        from quadjax.training import run
+        from quadjax.training.fine_tuning import check_policy, fine_tuning
+
     opt.exclude("overwrite", "resume")
     named = [*overrides, *([f"name={name}"] if name else [])]
     if seeds is not None:

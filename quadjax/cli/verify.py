@@ -11,10 +11,7 @@ from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
 from quadjax.core.errors import as_options
 from quadjax.core.files import write_json
-from quadjax.core.provenance import provenance
-from quadjax.export.verify.checks import CHECKS
-from quadjax.export.verify.result import FAILED, Result, counts_text, row_text
-from quadjax.export.verify.run import verify as verify_folder
+from quadjax.core.interruptions import loading
 
 
 def verify(
@@ -45,6 +42,12 @@ def verify(
         race: Config of the race, if that of DIR names your own code (config.yaml of DIR).
         json: Write the table.
     """
+    with loading():
+        from quadjax.core.provenance import provenance
+        from quadjax.export.verify.checks import CHECKS
+        from quadjax.export.verify.result import FAILED, Result, counts_text, row_text
+        from quadjax.export.verify.run import verify as verify_folder
+
     if folder.suffix == ".qjp":
         opt.refuse("on a .qjp file", "runs", "allow_unfinished", "allow_other_race", "race")
 

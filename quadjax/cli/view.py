@@ -9,13 +9,9 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import note, steps, wrote
-from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json
-from quadjax.flights import save
-from quadjax.sources import Options, load_flights
-from quadjax.view.data import page_record
-from quadjax.view.page import write_page
+from quadjax.core.interruptions import loading
 
 SUFFIXES = (".html", ".npz", ".json")
 
@@ -60,6 +56,13 @@ def view(
         seed: Of the noise.
         open_: Open the page in the browser.
     """
+    with loading():
+        from quadjax.config.loading import load_config
+        from quadjax.flights import save
+        from quadjax.sources import Options, load_flights
+        from quadjax.view.data import page_record
+        from quadjax.view.page import write_page
+
     names = name or []
     if len(names) > len(flights):
         raise InputError(f"--name {names[-1]}: more names than flights")

@@ -5,10 +5,10 @@ import shutil
 import pytest
 
 from quadjax import sources
-from quadjax.cli import evaluate
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED, find_config, find_policy
+from quadjax.evaluation import evaluate
 from quadjax.export.convert import export_c
 from quadjax.fitting.config import load_fit_config
 from quadjax.policy.file import Policy
@@ -56,7 +56,7 @@ def stop(monkeypatch):
         raise InputError("stopped")
 
     monkeypatch.setattr(sources, "evaluate", stopped)
-    monkeypatch.setattr(evaluate, "fly", stopped)
+    monkeypatch.setattr(evaluate, "evaluate", stopped)
 
 
 def test_a_copy_of_a_run_without_its_hidden_file_is_viewed(here, monkeypatch, capsys):

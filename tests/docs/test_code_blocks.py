@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 from quadjax import compare
-from quadjax.cli import train as training
+from quadjax.evaluation import training
 from quadjax.learners import parallel
 from quadjax.race.laps import Laps
 from quadjax.training import run as training_run

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from quadjax import sources
-from quadjax.cli import evaluate, replay
+from quadjax.config import race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED, policy_names
-from quadjax.export import convert
+from quadjax.export import convert, race_source
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 from tests.commands import run
@@ -39,9 +39,9 @@ def races(monkeypatch):
 
     for module, name in (
         (sources, "evaluate"),
-        (evaluate, "race_of"),
+        (race, "race_of"),
         (convert, "own_race"),
-        (replay, "own_race"),
+        (race_source, "own_race"),
     ):
         monkeypatch.setattr(module, name, stop)
     return found
