@@ -29,9 +29,9 @@ def export(
 ) -> None:
     """Convert a policy file to fixed-point C.
 
-    DIR gets the network, the observation, the estimators and a Paparazzi module as
-    C, with self-tests, and a report of proofs and measurements. The command
-    quadjax verify DIR builds and runs it.
+    DIR gets the network, the observation, the estimators and the self-tests as a
+    .qjp file and as a table in C, the C runtime, the glue of the target, and a report
+    of proofs and measurements. The command quadjax verify DIR builds and runs it.
 
     Example: quadjax export e2e --output out --target cortex-a9
 
@@ -39,7 +39,7 @@ def export(
         policy: Policy file, or a shipped one's name.
         output: Folder for the C.
         target: Processor and autopilot.
-        name: Prefix of every C symbol (default: the file's name).
+        name: Of the .qjp file and of the table in C (default: the file's name).
         range_: Declare +-R for an input instead of the default, a power of two:
             position=16; may be repeated.
         race: Training config of the policy's race (default: the one in the policy file, or
