@@ -250,8 +250,10 @@ def make_report(converted: Converted) -> Json:
         residual = own.residual and sha256(own.residual)
         report["estimator"] = {"residual_sha256": residual, "channel_ranges": ranges}
     if (battery := fixed.battery) is not None:
-        numbers = {f"{name}_rpm": getattr(battery, name) * battery.unit for name in
-                   ("lowest", "highest", "first")}  # fmt: skip
+        numbers = {
+            f"{name}_rpm": getattr(battery, name) * battery.unit
+            for name in ("lowest", "highest", "first")
+        }
         report["battery"] = numbers | {"update_error_rpm": update_error(battery)}
     return report
 

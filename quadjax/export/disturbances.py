@@ -158,8 +158,9 @@ def check_cutoff(sample_rate: float, cutoff: float) -> None:
 def _sums(tables: EstimatorTables) -> list[tuple[int, int]]:
     """Of each channel: bounds of the sum of its model and of what is differentiated."""
     bounds = monomial_bounds().astype(object)
-    sums, changes = (np.abs(rows.astype(object)) @ bounds
-                     for rows in (tables.model, tables.differentiated))  # fmt: skip
+    sums, changes = (
+        np.abs(rows.astype(object)) @ bounds for rows in (tables.model, tables.differentiated)
+    )
     return list(zip(map(int, sums), [*map(int, changes), 0, 0, 0], strict=True))
 
 

@@ -250,8 +250,14 @@ class _Reader:
     def cases(self, header: np.ndarray) -> Cases:
         """The self-tests."""
         disturbances, battery = bool(header["estimator"]), bool(header["battery"])
-        counts = (header["network_tests"], header["race_tests"], MEASUREMENTS * disturbances,
-                  SAMPLES * disturbances, MEASUREMENTS * battery, SAMPLES * battery)  # fmt: skip
+        counts = (
+            header["network_tests"],
+            header["race_tests"],
+            MEASUREMENTS * disturbances,
+            SAMPLES * disturbances,
+            MEASUREMENTS * battery,
+            SAMPLES * battery,
+        )
         arrays = {}
         groups = case_groups(int(header["inputs"]), int(header["state_size"]))
         for count, group in zip(map(int, counts), groups, strict=True):

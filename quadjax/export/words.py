@@ -193,18 +193,32 @@ def _parts(policy: FixedPolicy) -> Iterator[np.ndarray]:
     """All words but the checksum, in their order."""
     network, race, cases = policy.network, policy.race, policy.cases
     yield _rows(
-        "header", magic=MAGIC, version=VERSION, inputs=network.inputs, layers=len(network.layers),
-        state_size=race.state_size, fields=len(race.fields), parts=len(race.inputs),
-        gates=race.gates, constants=race.next_gate.shape[1], world_box=race.world_box,
+        "header",
+        magic=MAGIC,
+        version=VERSION,
+        inputs=network.inputs,
+        layers=len(network.layers),
+        state_size=race.state_size,
+        fields=len(race.fields),
+        parts=len(race.inputs),
+        gates=race.gates,
+        constants=race.next_gate.shape[1],
+        world_box=race.world_box,
         kind=COMMAND_KINDS.get(network.model.commands[0].name, OTHER_COMMANDS),
-        output_shift=network.output_shift, fraction_bits=network.fraction_bits,
-        period_ns=round(policy.time_step * 1e9), network_tests=len(cases.inputs),
-        race_tests=len(cases.states), history_digest=cases.history_digest,
-        estimator=policy.estimator is not None, battery=policy.battery is not None,
+        output_shift=network.output_shift,
+        fraction_bits=network.fraction_bits,
+        period_ns=round(policy.time_step * 1e9),
+        network_tests=len(cases.inputs),
+        race_tests=len(cases.states),
+        history_digest=cases.history_digest,
+        estimator=policy.estimator is not None,
+        battery=policy.battery is not None,
         source=np.frombuffer(bytes.fromhex(policy.policy_hash), "<u4"),
-        name=_text(policy.name, NAME_BYTES), vehicle=_text(network.model.name, 16),
-        low=network.command_low, high=network.command_high,
-    )  # fmt: skip
+        name=_text(policy.name, NAME_BYTES),
+        vehicle=_text(network.model.name, 16),
+        low=network.command_low,
+        high=network.command_high,
+    )
     yield _sizes(network.layers)
     yield from _observation(race)
     yield _track(race)
@@ -231,17 +245,22 @@ def _observation(race: RaceTables) -> Iterator[np.ndarray]:
     parts, layout = race.inputs, race.box.layout
     sizes = [layout[part.name].size for part in parts]
     yield _rows(
-        "part", len(parts), kind=[1 + KINDS.index(part.kind) for part in parts],
-        index=[part.index for part in parts], size=sizes, lag=[part.lag for part in parts],
+        "part",
+        len(parts),
+        kind=[1 + KINDS.index(part.kind) for part in parts],
+        index=[part.index for part in parts],
+        size=sizes,
+        lag=[part.lag for part in parts],
         exponent=[race.box.exponent[part.name] for part in parts],
         name=[_text(part.name, FIELD_BYTES) for part in parts],
-    )  # fmt: skip
+    )
     for part, size in zip(parts, sizes, strict=True):
         # Of a rotation, each input has the first number of its source.
         sources = part.sources if part.kind != ROTATION else part.sources[:1] * size
         rescales = [own or ZERO for own in part.rescales] or [ZERO] * size
-        columns = {name: [getattr(own, name) for own in rescales] for name in
-                   ("middle", "factor", "shift")}  # fmt: skip
+        columns = {
+            name: [getattr(own, name) for own in rescales] for name in ("middle", "factor", "shift")
+        }
         yield _rows("input", size, source=sources, **columns)
 
 
@@ -283,12 +302,22 @@ def _estimator(tables: EstimatorTables) -> Iterator[np.ndarray]:
     rpm = tables.rpm_input or Rescale(0, 0, 0)
     shifts = [shift for net in nets for shift in net.shifts] or [0] * 4
     yield _rows(
-        "estimator", period_ns=round(1e9 / tables.sample_rate), exponents=tables.exponents,
-        channels=tables.channel_exponents, terms=len(terms), thrust_layers=counts[0],
-        moment_layers=counts[1], rpm_middle=rpm.middle, rpm_factor=rpm.factor, rpm_shift=rpm.shift,
-        thrust_shift=shifts[0], moment_shift=shifts[1:], a1=tables.a1, a2=tables.a2,
+        "estimator",
+        period_ns=round(1e9 / tables.sample_rate),
+        exponents=tables.exponents,
+        channels=tables.channel_exponents,
+        terms=len(terms),
+        thrust_layers=counts[0],
+        moment_layers=counts[1],
+        rpm_middle=rpm.middle,
+        rpm_factor=rpm.factor,
+        rpm_shift=rpm.shift,
+        thrust_shift=shifts[0],
+        moment_shift=shifts[1:],
+        a1=tables.a1,
+        a2=tables.a2,
         gain=tables.gain,
-    )  # fmt: skip
+    )
     yield _rows("term", len(terms), channel=channels, monomial=terms, factor=model[channels, terms])
     for net in nets:
         yield _sizes((*net.hidden, net.output))
@@ -299,11 +328,15 @@ def _estimator(tables: EstimatorTables) -> Iterator[np.ndarray]:
 def _battery(tables: BatteryTables) -> np.ndarray:
     factors = {name: getattr(tables, name) for name in FACTORS}
     return _rows(
-        "battery", period_ns=round(1e9 / tables.sample_rate), exponent=tables.exponent,
-        lowest=tables.lowest, highest=tables.highest, first=tables.first,
+        "battery",
+        period_ns=round(1e9 / tables.sample_rate),
+        exponent=tables.exponent,
+        lowest=tables.lowest,
+        highest=tables.highest,
+        first=tables.first,
         **{name: factor.factor for name, factor in factors.items()},
         **{f"{name}_shift": factor.shift for name, factor in factors.items()},
-    )  # fmt: skip
+    )
 
 
 if __name__ == "__main__":
