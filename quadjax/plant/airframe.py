@@ -12,9 +12,8 @@ from flax import struct
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant.config import AirframeConfig, RotorConfig
 from quadjax.plant.effects import induced_square
+from quadjax.plant.indi import PITCH, ROLL
 from quadjax.vehicle.motor import MotorConstants
-
-FRONT, LEFT = (1.0, 1.0, -1.0, -1.0), (1.0, -1.0, -1.0, 1.0)  # side of each rotor along x and -y
 
 
 class Airframe(struct.PyTreeNode):
@@ -87,7 +86,7 @@ def airframe_force_moment(
     reach = jnp.sqrt(arm_x * arm_x + arm_y * arm_y)
     for i, w in enumerate(rpm.components()):
         thrust = c.k_w * w * w
-        x, y = FRONT[i] * arm_x, -LEFT[i] * arm_y
+        x, y = PITCH[i] * arm_x, -ROLL[i] * arm_y
         behind = 0.5 * (1.0 - (x * vx + y * vy) / (reach * speed))  # 0 foremost, 1 rearmost
         relative = w / c.rpm_max
         lost = airframe.rotor_loss[i] + airframe.speed_loss * relative * relative
