@@ -11,12 +11,12 @@ from pathlib import Path
 # JAX and XLA read these variables when they are imported; every worker and every process that a
 # test starts inherits them.
 #
-# Programs are compiled once, also for the next sessions.
-os.environ.setdefault(
-    "JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache/jax")
-)
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
-os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(2**30))
+# Programs are compiled once, also for the next sessions. JAX limits no size: with a limit, one
+# entry of a process that was killed while it wrote makes JAX write no further one.
+CACHE = Path(__file__).parents[1] / ".pytest_cache/jax"
+MAX_BYTES = 2**30
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
 # Compiled soon rather than well: most programs of the tests run once. Devices of the host wait for
 # one another in a collective operation, by default 40 s at most: with fewer cores than devices and
 # other tests beside them it can be longer.
@@ -28,6 +28,7 @@ if "XLA_FLAGS" not in os.environ:
     )
 
 import jax  # noqa: E402
+import pytest  # noqa: E402
 
 from tests.cpu_time import pytest_runtest_call  # noqa: E402, F401
 from tests.skips import pytest_sessionfinish, pytest_terminal_summary  # noqa: E402, F401
@@ -37,3 +38,14 @@ jax.config.update("jax_num_cpu_devices", 4)
 jax.devices()
 # A shell starts what it runs in the background with Ctrl-C ignored, and processes inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Remove the oldest compiled programs beyond a size, before any worker starts."""
+    if hasattr(config, "workerinput"):
+        return
+    total = 0
+    for path in sorted(CACHE.glob("*-cache"), key=lambda path: -path.stat().st_mtime):
+        total += path.stat().st_size
+        if total > MAX_BYTES:
+            path.unlink(missing_ok=True)
