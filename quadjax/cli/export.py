@@ -23,6 +23,7 @@ def export(
     race: Annotated[str | None, Parameter(name=["--race", "--config"], metavar="CONFIG")] = None,
     sample_rate: float | None = None,
     cutoff: float | None = None,
+    sampled: opt.Flag = False,
     allow_unfinished: opt.AllowUnfinished = False,
     allow_other_race: opt.AllowOtherRace = False,
     overwrite: opt.Flag = False,
@@ -46,6 +47,8 @@ def export(
             the preset that it names).
         sample_rate: Of the estimators, Hz (default: 512).
         cutoff: Of the disturbance estimator's low-pass, Hz (default: 8).
+        sampled: The C samples the actions with the noise of the training (default: the
+            mean action).
         overwrite: Replace an earlier export; write to a folder that no export made, and
             replace its files of the same names.
     """
@@ -62,6 +65,7 @@ def export(
         track=track,
         sample_rate=sample_rate,
         cutoff=cutoff,
+        sampled=sampled,
         allow_unfinished=allow_unfinished,
         allow_other_race=allow_other_race,
         target=target,

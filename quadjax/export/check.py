@@ -10,6 +10,7 @@ from quadjax.export.cases import Cases, answered
 from quadjax.export.disturbances import EstimatorTables, prove_terms
 from quadjax.export.integers import INPUT_BITS, ONE, WORD
 from quadjax.export.network import FixedLayer
+from quadjax.export.noise import NoiseTables
 from quadjax.export.proof import prove_layers
 from quadjax.export.race_tables import (
     ATTITUDE,
@@ -62,6 +63,8 @@ def check(policy: FixedPolicy) -> None:
         _check_estimator(policy.estimator)
     if policy.battery is not None:
         prove_battery(policy.battery)
+    if policy.noise is not None:
+        NoiseTables.of(policy.noise.factors)
     _prove(network.layers, network.inputs, COMMANDS)
 
 
@@ -120,5 +123,7 @@ def passes(policy: FixedPolicy) -> bool:
     targets = own.targets[:, 0].astype(np.int64)
     tables = (policy.network, policy.race, policy.estimator, policy.battery)
     right = answered(*tables, inputs, states, targets, measurements, samples)
+    if policy.noise is not None and policy.noise != NoiseTables.of(policy.noise.factors):
+        return False
     fields = (field.name for field in dataclasses.fields(Cases))
     return all(np.array_equal(getattr(right, name), getattr(own, name)) for name in fields)

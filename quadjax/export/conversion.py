@@ -19,6 +19,7 @@ from quadjax.export.disturbances import CUTOFF, SAMPLE_RATE, make_estimator
 from quadjax.export.flights import Rollouts
 from quadjax.export.integers import WORD, enable_x64
 from quadjax.export.network import convert
+from quadjax.export.noise import make_noise
 from quadjax.export.proof import Proof, prove
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import make_tables
@@ -32,14 +33,13 @@ from quadjax.export.render import (
 )
 from quadjax.export.targets import (
     DEFAULT_TARGET,
-    RUNTIME,
     Target,
     check_target,
     observed_fields,
     runtime_files,
     target_of,
 )
-from quadjax.export.words import NAME_BYTES, VERSION, FixedPolicy, pack
+from quadjax.export.words import NAME_BYTES, FixedPolicy, pack
 from quadjax.policy.file import Policy
 from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM
 from quadjax.vehicle.battery import middle_limit
@@ -63,6 +63,7 @@ class Options:
     allow_unfinished: bool = False
     allow_other_race: bool = False
     target: str = DEFAULT_TARGET
+    sampled: bool = False  # the actions are samples, not the mean
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,10 +91,8 @@ class Converted:
     def files(self) -> dict[str, bytes]:
         """Every emitted file of the policy and its C, by its path in the folder."""
         target, texts = self.target, {}
-        if target.as_file:
-            texts["qj_sizes.h"] = (RUNTIME / "qj_sizes.h").read_text("utf-8")
-        else:
-            texts["qj_sizes.h"] = sizes_header(self.fixed)
+        texts["qj_sizes.h"] = sizes_header(self.fixed, any_policy=target.as_file)
+        if not target.as_file:
             texts[f"{self.options.name}.h"] = policy_header(self.fixed, self.words, self._facts())
         if target.glue and not target.as_file:
             texts["quadjax_policy.h"] = glue_header(self.fixed, self.own)
@@ -114,7 +113,7 @@ class Converted:
         facts = (
             f"Policy   {self.file}, SHA-256 {self.fixed.policy_hash}",
             f"Source   {source or 'not stated in the policy file'}",
-            f"Format   words of version {VERSION}; deterministic (mean) actions",
+            f"Format   words of version {self.fixed.version}; {self.fixed.actions} actions",
             f"Track    {self.own.track}; vehicle {self.own.vehicle}",
         )
         lines = (textwrap.wrap(fact, COMMENT_WIDTH, subsequent_indent=" " * 9) for fact in facts)
@@ -189,7 +188,8 @@ def convert_policy(
     if cases is None:
         assert rollouts is not None
         cases = make_cases(*tables, rollouts.observations, rollouts.states, rollouts.targets)
-    fixed = FixedPolicy(options.name, *tables, sha256(path), own.time_step, cases)
+    noise = make_noise(policy, network) if options.sampled else None
+    fixed = FixedPolicy(options.name, *tables, sha256(path), own.time_step, cases, noise)
     return Converted(policy, file, fixed, proof, rollouts, own, options)
 
 
@@ -218,7 +218,7 @@ def make_report(converted: Converted) -> Json:
         "simulated": rollouts.observations,
     }
     report: Json = {
-        "format_version": VERSION,
+        "format_version": fixed.version,
         "vehicle": network.model.name,
         "unit": network.unit,
         "inputs": [dict(zip(("name", "range", "unit"), row, strict=True)) for row in inputs],
@@ -234,10 +234,11 @@ def make_report(converted: Converted) -> Json:
         "track": own.track,
         "config": own.origin,
         "config_sha256": hashlib.sha256(own.config.encode()).hexdigest(),
-        "deterministic": True,
+        "deterministic": fixed.noise is None,
         "options": dataclasses.asdict(converted.options),
         "estimator": None,
         "battery": None,
+        "noise": None,
         "flights": {
             "runs": len(laps.crashes),
             "finished": laps.finished,
@@ -255,6 +256,9 @@ def make_report(converted: Converted) -> Json:
             for name in ("lowest", "highest", "first")
         }
         report["battery"] = numbers | {"update_error_rpm": update_error(battery)}
+    if fixed.noise is not None:
+        deviation = (np.array(fixed.noise.factors) / unit).tolist()
+        report["noise"] = {"standard_deviation": deviation}
     return report
 
 

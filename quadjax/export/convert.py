@@ -75,6 +75,7 @@ def export_c(
     allow_other_race: bool = False,
     target: str = DEFAULT_TARGET,
     overwrite: bool = False,
+    sampled: bool = False,
 ) -> Export:
     """Write a policy as words, with the C runtime that flies them and an autopilot's files.
 
@@ -97,6 +98,8 @@ def export_c(
         target: processor and autopilot, a name of ``targets.TARGETS``.
         overwrite: replace an earlier export of the same name, or write to a folder that no export
             made, and replace its files of the same names.
+        sampled: the C samples the actions with the noise of the training, as the paper's policy
+            does; the mean action otherwise.
 
     Returns:
         The integers, the proof and the report.
@@ -121,7 +124,8 @@ def export_c(
     _check_folder(folder, symbol, overwrite)
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
         numbers = (ranges or {}, *rates)
-        options = Options(symbol, *numbers, allow_unfinished, allow_other_race, target)
+        allowed = (allow_unfinished, allow_other_race)
+        options = Options(symbol, *numbers, *allowed, target, sampled)
         own = Policy.load(path)
         check_policy(own)
         target_of(target, own.vehicle)

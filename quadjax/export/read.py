@@ -14,6 +14,7 @@ from quadjax.export.check import check, passes
 from quadjax.export.disturbances import CHANNELS, MONOMIALS, EstimatorTables, FixedResidual
 from quadjax.export.integers import DIGEST_START, Rescale
 from quadjax.export.network import FixedLayer, FixedNetwork
+from quadjax.export.noise import NoiseTables
 from quadjax.export.race_tables import (
     ROTATION,
     SCALED,
@@ -30,6 +31,7 @@ from quadjax.export.words import (
     HEADER,
     KINDS,
     MAGIC,
+    SAMPLED_VERSION,
     STATE_FIELDS,
     STRUCTS,
     VERSION,
@@ -96,8 +98,8 @@ def _intact(data: bytes) -> bytes:
     magic, version, size = (int(x) for x in np.frombuffer(data[:12], "<u4"))
     if magic != MAGIC:
         raise InputError("not a .qjp file")
-    if version not in (1, VERSION):
-        raise InputError(f"version {version} of the format, allowed: 1 and {VERSION}")
+    if version not in (1, VERSION, SAMPLED_VERSION):
+        raise InputError(f"version {version} of the format, allowed: 1 to {SAMPLED_VERSION}")
     if size != len(data):
         raise InputError(f"{len(data)} bytes, its header says {size}")
     if version == 1:
@@ -106,7 +108,7 @@ def _intact(data: bytes) -> bytes:
         intact = zlib.crc32(data[:-4]).to_bytes(4, "little") == data[-4:]
     if not intact:
         raise InputError("changed since it was written: its checksum differs")
-    if version == VERSION and len(data) < HEADER.itemsize + 4:
+    if version != 1 and len(data) < HEADER.itemsize + 4:
         raise InputError(f"{len(data)} bytes, which no .qjp file has")
     return _upgraded(data) if version == 1 else data
 
@@ -169,12 +171,13 @@ class _Reader:
         )
         estimator = self.estimator() if header["estimator"] else None
         battery = self.battery() if header["battery"] else None
+        noise = self.noise() if header["version"] == SAMPLED_VERSION else None
         cases = self.cases(header)
         if self._at != len(self._data):
             raise InputError(SIZES_DIFFER)
         source = header["source"].astype("<u4").tobytes().hex()
         names = (_string(header["name"]), network, race, estimator, battery, source)
-        return FixedPolicy(*names, race.time_step, cases)
+        return FixedPolicy(*names, race.time_step, cases, noise)
 
     def race(self, header: np.ndarray, vehicle: str) -> RaceTables:
         """State, observation and track."""
@@ -246,6 +249,11 @@ class _Reader:
         factors = {name: Rescale(0, int(own[name]), int(own[f"{name}_shift"])) for name in FACTORS}
         ends = {name: int(own[name]) for name in ("lowest", "highest", "first", "exponent")}
         return BatteryTables(sample_rate=1e9 / int(own["period_ns"]), **factors, **ends)
+
+    def noise(self) -> NoiseTables:
+        """The noise of a policy that samples."""
+        own = self.take(STRUCTS["noise"], 1)[0]
+        return NoiseTables(tuple(own["factor"].tolist()), int(own["digest"]))
 
     def cases(self, header: np.ndarray) -> Cases:
         """The self-tests."""

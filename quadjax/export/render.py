@@ -11,7 +11,7 @@ import numpy as np
 
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import FIELDS
-from quadjax.export.targets import observed_fields
+from quadjax.export.targets import RUNTIME, observed_fields
 from quadjax.export.words import FixedPolicy
 from quadjax.race import episode
 
@@ -104,8 +104,17 @@ def policy_header(policy: FixedPolicy, data: bytes, facts: Iterable[str]) -> str
     )
 
 
-def sizes_header(policy: FixedPolicy) -> str:
-    """``qj_sizes.h`` for one policy: no buffer of the runtime is larger than it needs."""
+def sizes_header(policy: FixedPolicy, any_policy: bool = False) -> str:
+    """``qj_sizes.h`` for one policy: no buffer of the runtime is larger than it needs.
+
+    Args:
+        policy: the policy.
+        any_policy: the sizes of the largest policy that the runtime takes, for firmware that loads
+            files.
+    """
+    sampled = "" if policy.noise is None else "#define QJ_SAMPLED 1\n"
+    if any_policy:
+        return (RUNTIME / "qj_sizes.h").read_text("utf-8") + sampled
     layers = list(policy.network.layers)
     if policy.estimator is not None:
         nets = [n for n in (policy.estimator.thrust, policy.estimator.moment) if n is not None]
@@ -120,7 +129,10 @@ def sizes_header(policy: FixedPolicy) -> str:
         f"#ifndef QJ_MAX_{name}\n#define QJ_MAX_{name} {size}\n#endif\n"
         for name, size in sizes.items()
     )
-    return f"/* Sizes of {policy.name}. */\n#ifndef QJ_SIZES_H\n#define QJ_SIZES_H\n{lines}#endif\n"
+    return (
+        f"/* Sizes of {policy.name}. */\n#ifndef QJ_SIZES_H\n#define QJ_SIZES_H\n"
+        f"{lines}{sampled}#endif\n"
+    )
 
 
 def call_frequency(policy: FixedPolicy) -> int:

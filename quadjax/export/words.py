@@ -17,6 +17,7 @@ from quadjax.export.cases import HISTORY_ROUNDS, MEASUREMENTS, SAMPLES, Cases
 from quadjax.export.disturbances import CHANNELS, FINE_BITS, MONOMIALS, EstimatorTables
 from quadjax.export.integers import WORD, Rescale
 from quadjax.export.network import FixedLayer, FixedNetwork
+from quadjax.export.noise import NoiseTables
 from quadjax.export.race_tables import (
     ATTITUDE,
     COPY,
@@ -32,6 +33,7 @@ from quadjax.export.race_tables import (
 )
 
 MAGIC, VERSION, COMMANDS = 0x00504A51, 2, 4
+SAMPLED_VERSION = 3  # of words with the section ``noise``
 NAME_BYTES, FIELD_BYTES = 32, 24
 BLOCK = 4  # rows of a block of weights
 TURN = 8  # columns, and rows of a hidden layer, are padded to a multiple of this
@@ -79,6 +81,7 @@ STRUCTS = {
         *("period_ns", "exponent", "low_pass", "low_pass_shift", "lead", "lead_shift"),
         *("gain", "gain_shift", ("lowest", "<i8"), ("highest", "<i8"), ("first", "<i8")),
     ),
+    "noise": _struct(("factor", "<i4", COMMANDS), ("digest", "<u4")),
 }
 HEADER = STRUCTS["header"]
 BYTES_AT = HEADER.fields["bytes"][1]
@@ -96,6 +99,17 @@ class FixedPolicy:
     policy_hash: str  # SHA-256 of the policy file
     time_step: float  # s
     cases: Cases
+    noise: NoiseTables | None = None  # of a policy that samples its actions
+
+    @property
+    def actions(self) -> str:
+        """How its actions are chosen, for texts."""
+        return "deterministic (mean)" if self.noise is None else "sampled"
+
+    @property
+    def version(self) -> int:
+        """Of the format of its words."""
+        return VERSION if self.noise is None else SAMPLED_VERSION
 
 
 def case_groups(inputs: int, state_size: int) -> tuple[dict[str, int], ...]:
@@ -112,7 +126,8 @@ def case_groups(inputs: int, state_size: int) -> tuple[dict[str, int], ...]:
 
 def layout_header() -> str:
     """``runtime/qj_words.h``: the place of every word in its structure."""
-    values = {"magic": MAGIC, "version": VERSION, "yaw_exponent": YAW_EXPONENT}
+    values = {"magic": MAGIC, "version": VERSION, "sampled_version": SAMPLED_VERSION}
+    values |= {"yaw_exponent": YAW_EXPONENT}
     values |= {"quaternion_exponent": QUATERNION_EXPONENT, "fine_bits": FINE_BITS}
     values |= {"battery_bits": 40, "test_rows": MEASUREMENTS, "test_samples": SAMPLES}
     values |= {"history_rounds": HISTORY_ROUNDS, "measurements": 13}
@@ -195,7 +210,7 @@ def _parts(policy: FixedPolicy) -> Iterator[np.ndarray]:
     yield _rows(
         "header",
         magic=MAGIC,
-        version=VERSION,
+        version=policy.version,
         inputs=network.inputs,
         layers=len(network.layers),
         state_size=race.state_size,
@@ -227,6 +242,8 @@ def _parts(policy: FixedPolicy) -> Iterator[np.ndarray]:
         yield from _estimator(policy.estimator)
     if policy.battery is not None:
         yield _battery(policy.battery)
+    if policy.noise is not None:
+        yield _rows("noise", factor=policy.noise.factors, digest=policy.noise.digest)
     for group in case_groups(network.inputs, race.state_size):
         yield np.concatenate([getattr(cases, name) for name in group], axis=1)
 

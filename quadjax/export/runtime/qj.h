@@ -8,6 +8,9 @@
  *
  * World north-east-down, body forward-right-down, SI units. Rotors and their commands are in the
  * order front-left, front-right, rear-right, rear-left.
+ *
+ * With QJ_SAMPLED, which an export with --sampled defines in qj_sizes.h, policies that sample their
+ * actions are accepted too. Without it nothing of that is compiled.
  */
 #ifndef QJ_H
 #define QJ_H
@@ -127,6 +130,9 @@ typedef struct {
   const int32_t *battery; /* estimator of the highest rpm, or 0 */
   const int32_t *tests;
   qj_layer layer[QJ_MAX_LAYERS]; /* of the policy, then of the residual's thrust and moment */
+#ifdef QJ_SAMPLED
+  const int32_t *noise; /* of a policy that samples its actions, or 0 */
+#endif
 } qj_policy;
 
 /* What was wrong with a state: bit i is number or input i, bit 31 any from there on. */
@@ -197,6 +203,14 @@ qj_status qj_quantize(const qj_policy *policy, const float *x, int32_t *q);
 /* Commands, integers, of inputs. trace: where to digest every sum, or 0. */
 void qj_forward(const qj_policy *policy, const int32_t *q, int32_t command[QJ_COMMANDS],
                 uint32_t *trace);
+
+#ifdef QJ_SAMPLED
+/* The same with the noise of the policy's training: Gaussian, added before the commands are clamped.
+ * Without such a section in the words it is qj_forward. counter: memory of the generator, any number
+ * before the first call; a call adds a constant to it. The same counter gives the same noise. */
+void qj_sample(const qj_policy *policy, const int32_t *q, uint32_t *counter,
+               int32_t command[QJ_COMMANDS]);
+#endif
 
 /* Integer commands as floats in their unit; rpm are rounded to whole ones. */
 void qj_commands(const qj_policy *policy, const int32_t q[QJ_COMMANDS], float command[QJ_COMMANDS]);

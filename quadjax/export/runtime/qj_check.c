@@ -369,10 +369,24 @@ static qj_error check_battery(const qj_policy *policy) {
           0U) ? QJ_OK : QJ_BAD_ESTIMATOR;
 }
 
+#ifdef QJ_SAMPLED
+static qj_error check_noise(const qj_policy *policy) {
+  uint32_t fine = 1U;
+  for (uint32_t i = 0U; (policy->noise != 0) && (i < QJ_COMMANDS); ++i) {
+    fine &= qj_within(policy->noise[QJ_NOISE_FACTOR + i], 0, INT32_MAX);
+  }
+  return (fine != 0U) ? QJ_OK : QJ_BAD_RANGES;
+}
+#endif
+
 qj_error qj_check(const qj_policy *policy) {
   static qj_error (*const checks[])(const qj_policy *) = {
       check_header, check_state,     check_observation, check_track, check_estimator,
-      check_battery};
+      check_battery,
+#ifdef QJ_SAMPLED
+      check_noise,
+#endif
+  };
   qj_error error = QJ_OK;
   for (uint32_t i = 0U; (error == QJ_OK) && (i < sizeof(checks) / sizeof(checks[0])); ++i) {
     error = checks[i](policy);

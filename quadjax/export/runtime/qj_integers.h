@@ -111,6 +111,11 @@ void qj_run_layers(const qj_policy *policy, const qj_layer *layer, uint32_t coun
 /* The words of the field of the state with a code, or 0. */
 const int32_t *qj_find_field(const qj_policy *policy, int32_t code);
 
+#ifdef QJ_SAMPLED
+/* Of the noise of the first samples, for the self-test. */
+uint32_t qj_noise_digest(const int32_t *noise);
+#endif
+
 /* Checks of the contents, once the sizes and the checksum are right: qj_check.c. */
 qj_error qj_check(const qj_policy *policy);
 

@@ -2,6 +2,11 @@
  * the checksum is right, and no number of it before the checks of qj_check.c. */
 #include "qj_integers.h"
 
+#ifdef QJ_SAMPLED
+#define LAST_VERSION QJ_SAMPLED_VERSION
+#else
+#define LAST_VERSION QJ_VERSION
+#endif
 enum { MAX_COUNT = 4096 }; /* of gates, terms and self-tests: so that no size overflows */
 
 /* Words that are taken one part after the other. */
@@ -161,6 +166,10 @@ static qj_error find_tables(qj_policy *policy, const int32_t *w, uint32_t count)
   if (w[QJ_HEADER_BATTERY] != 0) {
     policy->battery = take(&words, QJ_BATTERY_WORDS);
   }
+#ifdef QJ_SAMPLED
+  policy->noise =
+      (w[QJ_HEADER_VERSION] == QJ_SAMPLED_VERSION) ? take(&words, QJ_NOISE_WORDS) : 0;
+#endif
   policy->tests = words.at;
   (void)take(&words, (uint32_t)w[QJ_HEADER_NETWORK_TESTS] * (policy->inputs + QJ_COMMANDS + 1U));
   (void)take(&words, (uint32_t)w[QJ_HEADER_RACE_TESTS] *
@@ -288,6 +297,12 @@ uint32_t qj_self_test(const qj_policy *policy, qj_race *race) {
     mismatches += estimator_test_fails(policy, test);
     test += QJ_TEST_ROWS * 13U + QJ_TEST_SAMPLES * 6U;
   }
+#ifdef QJ_SAMPLED
+  if (policy->noise != 0) {
+    mismatches +=
+        (qj_noise_digest(policy->noise) != (uint32_t)policy->noise[QJ_NOISE_DIGEST]) ? 1U : 0U;
+  }
+#endif
   return mismatches + ((policy->battery != 0) ? battery_test_fails(policy, test) : 0U);
 }
 
@@ -301,7 +316,7 @@ static qj_error check_words(const int32_t *w, uint32_t bytes) {
   if (w[QJ_HEADER_MAGIC] != QJ_MAGIC) {
     return QJ_BAD_MAGIC;
   }
-  if (w[QJ_HEADER_VERSION] != QJ_VERSION) {
+  if ((w[QJ_HEADER_VERSION] != QJ_VERSION) && (w[QJ_HEADER_VERSION] != LAST_VERSION)) {
     return QJ_BAD_VERSION;
   }
   if ((uint32_t)w[QJ_HEADER_BYTES] != bytes) {

@@ -241,6 +241,57 @@ void qj_forward(const qj_policy *policy, const int32_t *q, int32_t command[QJ_CO
   }
 }
 
+#ifdef QJ_SAMPLED
+/* 32 bits: a hash (lowbias32 of C. Wellons) of a counter that steps by 2^32 over the golden ratio. */
+static inline uint32_t next_bits(uint32_t *counter) {
+  *counter += UINT32_C(0x9E3779B9);
+  uint32_t x = *counter;
+  x = (x ^ (x >> 16)) * UINT32_C(0x7FEB352D);
+  x = (x ^ (x >> 15)) * UINT32_C(0x846CA68B);
+  return x ^ (x >> 16);
+}
+
+/* A sum of 12 uniform numbers of 16 bits: normal, of mean 0 and standard deviation 2^16, within 6 of
+ * those. No branch and no address depends on a number. Times a factor it is below 2^50. */
+static inline int64_t noise_of(uint32_t *counter, int32_t factor) {
+  int32_t sum = -6 * 0xFFFF;
+  for (uint32_t i = 0U; i < 6U; ++i) {
+    const uint32_t bits = next_bits(counter);
+    sum += (int32_t)(bits & UINT32_C(0xFFFF)) + (int32_t)(bits >> 16);
+  }
+  return qj_round_shift((int64_t)sum * factor, 16);
+}
+
+uint32_t qj_noise_digest(const int32_t *noise) {
+  uint32_t counter = 0U;
+  uint32_t digest = QJ_DIGEST_START;
+  for (uint32_t i = 0U; i < QJ_TEST_SAMPLES * QJ_COMMANDS; ++i) {
+    digest = qj_digest_long(digest, noise_of(&counter, noise[QJ_NOISE_FACTOR + i % QJ_COMMANDS]));
+  }
+  return digest;
+}
+
+void qj_sample(const qj_policy *policy, const int32_t *q, uint32_t *counter,
+               int32_t command[QJ_COMMANDS]) {
+  QJ_BUFFER int32_t buffer[2][QJ_MAX_WIDTH];
+  int64_t sums[ROWS_PER_BLOCK];
+  if (policy->noise == 0) {
+    qj_forward(policy, q, command, 0);
+    return;
+  }
+  for (uint32_t i = 0U; i < policy->layer[0].padded_columns; ++i) {
+    const int64_t input = (i < policy->inputs) ? q[i] : 0;
+    buffer[0][i] = (int32_t)qj_clamp(input, -QJ_INPUT_ONE, QJ_INPUT_ONE);
+  }
+  qj_run_layers(policy, policy->layer, policy->layers, buffer, sums, 0);
+  for (uint32_t i = 0U; i < QJ_COMMANDS; ++i) { /* a shift of at least 1: below 2^62 and 2^50 */
+    const int64_t noise = noise_of(counter, policy->noise[QJ_NOISE_FACTOR + i]);
+    const int64_t sum = (sums[i] >> policy->output_shift) + noise;
+    command[i] = (int32_t)qj_clamp(sum, policy->low[i], policy->high[i]);
+  }
+}
+#endif
+
 void qj_commands(const qj_policy *policy, const int32_t q[QJ_COMMANDS],
                  float command[QJ_COMMANDS]) {
   const uint32_t bits = policy->fraction_bits;

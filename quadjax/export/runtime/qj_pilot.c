@@ -213,7 +213,11 @@ static void decide(qj_pilot *pilot, const qj_vehicle *vehicle) {
   }
   (void)qj_race_update(policy, &pilot->race, vehicle->position);
   pilot->last = qj_observe(policy, &pilot->race, state, q);
+#ifdef QJ_SAMPLED
+  qj_sample(policy, q, &pilot->noise, integers);
+#else
   qj_forward(policy, q, integers, 0);
+#endif
   qj_commands(policy, integers, pilot->command);
   ++counters->steps;
   counters->nan_steps += (pilot->last.nan != 0U) ? 1U : 0U;

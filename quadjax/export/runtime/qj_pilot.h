@@ -84,6 +84,9 @@ typedef struct {
   qj_race race;
   qj_estimator estimator;
   qj_battery battery;
+#ifdef QJ_SAMPLED
+  uint32_t noise; /* counter of the generator, which nothing resets: set it to any number */
+#endif
 } qj_pilot;
 
 /* Loads a policy; the words must stay. Returns 0, or what is wrong, for a log. */

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.core.files import write_bytes
+from quadjax.export.render import sizes_header
 from quadjax.export.targets import RUNTIME, Target, pilot_options, runtime_files, sources_of
 from quadjax.export.verify.result import Skipped, require
 from quadjax.export.verify.toolchain import (
@@ -81,7 +82,8 @@ class Sources:
         """
         if files is None:
             texts = {name: text.encode() for name, text in runtime_files(target).items()}
-            files = texts | {f"{target.folder}/qj_sizes.h": (RUNTIME / "qj_sizes.h").read_bytes()}
+            sizes = sizes_header(policy, any_policy=True).encode()
+            files = texts | {f"{target.folder}/qj_sizes.h": sizes}
         for name, data in files.items():
             write_bytes(work / name, data)
         rates = [t.sample_rate for t in (policy.battery, policy.estimator) if t is not None]
@@ -145,6 +147,10 @@ class Library:
     def forward(self, q: np.ndarray) -> np.ndarray:
         """Rows (n, 5) int32, commands and trace, of inputs (n, inputs) int32."""
         return self._rows("forward", COMMANDS + 1, np.int32, q.astype(np.int32))
+
+    def sample(self, q: np.ndarray, counter: int) -> np.ndarray:
+        """Sampled commands (n, 4) int32 of inputs (n, inputs) int32, from a counter on."""
+        return self._rows("sample", COMMANDS, np.int32, q.astype(np.int32), counter)
 
     def observe(self, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """Rows (n, inputs + 3) int32 of the states of one flight and their targets."""

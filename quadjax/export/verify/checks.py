@@ -26,6 +26,7 @@ from quadjax.export.convert import POLICY_FILE
 from quadjax.export.estimator_emulator import estimate_highest
 from quadjax.export.flights import Rollouts
 from quadjax.export.integers import ONE, quantize
+from quadjax.export.noise import sample
 from quadjax.export.race_source import check_race
 from quadjax.export.states import observe_float64
 from quadjax.export.targets import Target
@@ -140,6 +141,8 @@ def check_host(c: Context) -> str:
     count, network = 0, c.fixed.network
     for q in c.inputs():
         _same("inputs", c.library.forward(q), emulator.forward_rows(network, q))
+        if (tables := c.fixed.noise) is not None:
+            _same("samples", c.library.sample(q, count), sample(network, tables, q, count))
         count += len(q)
     states, targets = c.states
     _same("states", c.library.observe(states, targets), c.expected_inputs(states, targets))

@@ -7,6 +7,10 @@ static const qj_interface interface = {INTERFACE_GIVES, INTERFACE_KINDS, INTERFA
 uint32_t harness_size(void);
 uint32_t harness_load(qj_pilot *pilot, const int32_t *words, uint32_t bytes, uint32_t kernel);
 void harness_forward(const qj_pilot *pilot, const int32_t *q, int32_t *out, uint32_t count);
+#ifdef QJ_SAMPLED
+void harness_sample(const qj_pilot *pilot, const int32_t *q, uint32_t counter, int32_t *out,
+                    uint32_t count);
+#endif
 void harness_infer(const qj_pilot *pilot, const float *x, float *out);
 void harness_observe(qj_pilot *pilot, const float *states, const uint32_t *targets, int32_t *out,
                      uint32_t count);
@@ -39,6 +43,18 @@ void harness_forward(const qj_pilot *pilot, const int32_t *q, int32_t *out, uint
     out += QJ_COMMANDS + 1;
   }
 }
+
+#ifdef QJ_SAMPLED
+/* Row: sampled commands, from a counter of the generator on. */
+void harness_sample(const qj_pilot *pilot, const int32_t *q, uint32_t counter, int32_t *out,
+                    uint32_t count) {
+  for (uint32_t i = 0U; i < count; ++i) {
+    qj_sample(&pilot->policy, q, &counter, out);
+    q += pilot->policy.inputs;
+    out += QJ_COMMANDS;
+  }
+}
+#endif
 
 /* One inference from an own observation. */
 void harness_infer(const qj_pilot *pilot, const float *x, float *out) {

@@ -1,0 +1,183 @@
+"""Policies that sample their actions on board: the noise, its bits in C, and its statistics."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from quadjax.core.errors import InputError
+from quadjax.export.convert import export_c
+from quadjax.export.emulator import forward_traced
+from quadjax.export.integers import quantize
+from quadjax.export.noise import advanced, make_noise, noise, sample
+from quadjax.export.read import read_qjp, unpack
+from quadjax.export.targets import RUNTIME
+from quadjax.export.verify import run
+from quadjax.export.verify.build import load_library
+from quadjax.export.verify.result import PASSED
+from quadjax.export.verify.toolchain import host
+from quadjax.export.words import SAMPLED_VERSION, STRUCTS, VERSION, pack
+from tests.export.support import fixed_policy, library, made_policy, observations, own_race
+from tests.export.test_runtime import FILES, edited, load
+
+UNIT = 2**16
+STD = np.array([0.3, 0.5, 0.05, 1.0])
+SAMPLED = "-DQJ_SAMPLED=1"
+
+
+def made(vehicle="motor"):
+    """A policy, and the same as integers with its noise."""
+    policy = made_policy(16, vehicle)
+    policy = dataclasses.replace(policy, log_std=np.log(STD).astype(np.float32))
+    fixed = fixed_policy(policy, own_race(policy))
+    return policy, dataclasses.replace(fixed, noise=make_noise(policy, fixed.network))
+
+
+def by_hand(counter, count):
+    """Numbers of the generator in Python's own integers."""
+    found = []
+    for _ in range(count):
+        total = 0
+        for _ in range(6):
+            counter = (counter + 0x9E3779B9) % 2**32
+            x = counter
+            for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
+                x = (x ^ x >> shift) * factor % 2**32
+            x ^= x >> 16
+            total += x % 2**16 + x // 2**16
+        found.append(total - 12 * (2**16 - 1) // 2)
+    return found, counter
+
+
+def test_the_generator_is_the_one_by_hand():
+    numbers, counter = by_hand(2**32 - 7, 40)
+    assert noise((UNIT,) * 4, 2**32 - 7, 10).ravel().tolist() == numbers
+    assert advanced(2**32 - 7, 10, 4) == counter
+    found = noise((2 * UNIT, UNIT, 0, 1), 2**32 - 7, 10)
+    assert found[:, 0].tolist() == [2 * x for x in numbers[::4]] and not found[:, 2].any()
+    assert found[:, 3].tolist() == [(x + 2**15) >> 16 for x in numbers[3::4]]
+
+
+def test_the_noise_is_normal_and_white():
+    steps = 60_000
+    x = noise((UNIT,) * 4, 12345, steps) / UNIT
+    assert np.abs(x.mean(axis=0)).max() < 5 / steps**0.5
+    assert np.abs(x.std(axis=0) - 1.0).max() < 5 / (2 * steps) ** 0.5
+    assert np.abs(stats.kurtosis(x) + 0.1).max() < 0.08
+    assert np.abs(stats.skew(x)).max() < 0.05 and np.abs(x).max() < 6.0
+    assert stats.kstest(x.ravel(), "norm").statistic < 0.005  # 0.0023, and that of a sample
+    apart = np.corrcoef(np.concatenate([x[1:], x[:-1]], axis=1).T) - np.eye(8)
+    assert np.abs(apart).max() < 5 / steps**0.5
+
+
+@pytest.mark.parametrize("vehicle", ["motor", "rate"])
+def test_commands_are_distributed_as_those_of_the_float_policy(vehicle):
+    policy, fixed = made(vehicle)
+    network, rng, count = fixed.network, np.random.default_rng(0), 20_000
+    low, high = policy.command_low, policy.command_high
+    half, ends = 0.5 * (high - low), 0
+    for number, size in enumerate((0.02, 0.1, 0.3, 0.9)):
+        x = (rng.uniform(-size, size, network.inputs) * network.box.ranges).astype(np.float32)
+        y = x.astype(float)
+        for layer, (kernel, bias) in enumerate(policy.layers):
+            y = (np.maximum(y, 0.0) if layer else y) @ kernel + bias
+        y = np.clip(y + STD * rng.standard_normal((count, 4)), -1.0, 1.0)
+        q = quantize(np.tile(x, (count, 1)), network.box.exponents)
+        found = sample(network, fixed.noise, q, 1000 * number) / 2.0**network.fraction_bits
+        found = (found - low) / half - 1.0
+        assert np.abs(found).max() <= 1.0 + 1e-6
+        assert np.abs(found.mean(axis=0) - y.mean(axis=0)).max() < 0.03
+        assert np.abs(found.std(axis=0) - y.std(axis=0)).max() < 0.02
+        for i in range(4):
+            assert stats.ks_2samp(found[:, i].round(6), y[:, i].round(6)).statistic < 0.025
+        ends += np.sum((np.abs(y) == 1.0).mean(axis=0) % 1.0 > 0.05)
+    assert ends > 2  # in some cases the clipping matters
+
+
+@pytest.mark.parametrize("vehicle", ["motor", "rate"])
+def test_the_c_has_the_bits_of_numpy(vehicle, tmp_path):
+    _, fixed = made(vehicle)
+    network, counter = fixed.network, 2**32 - 1000
+    q = quantize(observations(network, 2000), network.box.exponents).astype(np.int32)
+    bits = np.random.default_rng(0).integers(-(2**31), 2**31, (500, network.inputs), np.int32)
+    q, c = np.concatenate([q, bits]), library(fixed, tmp_path)
+    np.testing.assert_array_equal(c.sample(q, counter), sample(network, fixed.noise, q, counter))
+    mean = forward_traced(network, q)[0]
+    np.testing.assert_array_equal(c.forward(q)[:, :4], mean)
+    silent = dataclasses.replace(fixed.noise, factors=(0,) * 4)
+    np.testing.assert_array_equal(sample(network, silent, q, 5), mean)
+
+
+def runtime_of(folder, change=None, *options):
+    """The runtime as a library, its network perhaps changed."""
+    folder.mkdir()
+    files = []
+    for path in FILES:
+        text = path.read_text()
+        if change and path.name == "qj_network.c":
+            assert change[0] in text
+            text = text.replace(*change)
+        files.append(folder / path.name)
+        files[-1].write_text(text)
+    return load_library(host(), files, folder / "c.so", [f"-I{RUNTIME}", *options])
+
+
+CHANGES = {
+    "another step": ("0x9E3779B9", "0x9E3779BB"),
+    "another factor": ("0x846CA68B", "0x846CA68D"),
+    "another shift": ("x >> 15", "x >> 14"),
+    "a half less": ("i < 6U; ++i", "i < 5U; ++i"),
+    "no rounding": ("qj_round_shift((int64_t)sum * factor, 16)", "((int64_t)sum * factor >> 16)"),
+    "one factor": ("QJ_NOISE_FACTOR + i % QJ_COMMANDS", "QJ_NOISE_FACTOR"),
+}
+
+
+def test_the_loader_checks_the_noise(tmp_path):
+    _, fixed = made()
+    words, mean = pack(fixed), pack(dataclasses.replace(fixed, noise=None))
+    assert len(words) == len(mean) + STRUCTS["noise"].itemsize
+    assert unpack(words).noise == fixed.noise
+    assert np.frombuffer(mean, "<i4")[1] == VERSION != SAMPLED_VERSION == fixed.version
+    right, plain = runtime_of(tmp_path / "right", None, SAMPLED), runtime_of(tmp_path / "plain")
+    assert load(right, words) == load(right, mean) == load(plain, mean) == 0
+    assert load(plain, words) == 3  # of another version: it could not sample
+    at = words.index(np.array(fixed.noise.factors, "<i4").tobytes()) // 4
+    for change, error in (({at: -1}, 11), ({at + 1: 5}, 13), ({at + 4: 5}, 13)):
+        assert load(right, edited(words, change)) == error
+        with pytest.raises(InputError):
+            unpack(edited(words, change))
+
+
+@pytest.mark.slow
+def test_the_self_test_sees_a_change_of_the_noise(tmp_path):
+    words = pack(made()[1])
+    for name, change in CHANGES.items():
+        assert load(runtime_of(tmp_path / name, change, SAMPLED), words) == 13, name
+
+
+def test_too_much_noise_is_refused():
+    policy, fixed = made()
+    wide = dataclasses.replace(policy, log_std=np.full(4, 20.0, np.float32))
+    with pytest.raises(InputError, match="log_std 0: a standard deviation of .* allowed: 0 to"):
+        make_noise(wide, fixed.network)
+
+
+def test_an_export_samples_only_if_asked(no_flights, tmp_path):
+    made_policy(16, "rate").save(tmp_path / "policy.npz")
+    files = {}
+    for sampled in (False, True):
+        out = tmp_path / f"{sampled}"
+        options = {"allow_unfinished": True, "sampled": sampled}
+        result = export_c(tmp_path / "policy.npz", out, name="made", **options)
+        files[sampled] = result.converted.files()
+        assert (read_qjp(out / "made.qjp").noise is not None) == sampled
+        assert json.loads((out / "made_report.json").read_text())["deterministic"] is not sampled
+        assert ("Sampled: noise of standard deviation 3, 3, 3, 7.5" in result.text) == sampled
+        assert (b"QJ_SAMPLED" in files[sampled]["paparazzi/qj_sizes.h"]) == sampled
+        assert (b"; sampled actions" in files[sampled]["paparazzi/made.h"]) == sampled
+        results = run.verify(out, 400, only=("NumPy = C",))
+        assert [x.verdict for x in results] == [PASSED] * 2
+    apart = {name for name in files[True] if files[True][name] != files[False][name]}
+    assert apart == {"paparazzi/qj_sizes.h", "paparazzi/made.h", "made.qjp"}
