@@ -17,6 +17,8 @@ from quadjax.export.battery import make_battery, update_error
 from quadjax.export.cases import Cases, make_cases, uniform_samples
 from quadjax.export.disturbances import CUTOFF, SAMPLE_RATE, make_estimator
 from quadjax.export.flights import Rollouts
+from quadjax.export.inner_loop import FILE as INNER_LOOP
+from quadjax.export.inner_loop import inner_loop
 from quadjax.export.integers import WORD, enable_x64
 from quadjax.export.network import convert
 from quadjax.export.noise import make_noise
@@ -102,6 +104,8 @@ class Converted:
             module, rate = f"{target.folder}/quadjax.xml", call_frequency(self.fixed)
             every[module] = every[module].replace('freq="512"', f'freq="{rate}"')
         words = {f"{self.options.name}.qjp": self.words}
+        if (text := inner_loop(self.fixed, self.own, target)) is not None:
+            every[INNER_LOOP] = text
         return {name: text.encode() for name, text in every.items()} | words
 
     def _facts(self) -> list[str]:

@@ -23,6 +23,7 @@ from quadjax.export.conversion import (
 )
 from quadjax.export.disturbances import CUTOFF, SAMPLE_RATE, check_cutoff
 from quadjax.export.flights import SEED
+from quadjax.export.inner_loop import FILE as INNER_LOOP
 from quadjax.export.network import check_policy
 from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, own_race
 from quadjax.export.render import render
@@ -120,7 +121,8 @@ def export_c(
     folder = Path(folder)
     file = POLICY_FILE if isinstance(policy, Policy) else Path(policy).name
     symbol = symbol_name(name, file)
-    files = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, ROLLOUTS_FILE, f"{symbol}[._]*", *FOLDERS)
+    files = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, ROLLOUTS_FILE, INNER_LOOP)
+    files = (*files, f"{symbol}[._]*", *FOLDERS)
     _check_folder(folder, symbol, overwrite)
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
         numbers = (ranges or {}, *rates)
@@ -196,7 +198,7 @@ def _optional(name: str) -> tuple[str, ...]:
     for target in TARGETS.values():
         own = ("qj_sizes.h", "quadjax_policy.h", f"{name}.h")
         files += [*runtime_files(target), *(f"{target.folder}/{file}" for file in own)]
-    return (*dict.fromkeys(files), RESIDUAL_FILE, ROLLOUTS_FILE)
+    return (*dict.fromkeys(files), RESIDUAL_FILE, ROLLOUTS_FILE, INNER_LOOP)
 
 
 def _remove_empty(folder: Path) -> None:
