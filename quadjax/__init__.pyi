@@ -9,6 +9,7 @@ from quadjax.core.resources import presets as presets
 from quadjax.core.sections import Section as Section
 from quadjax.evaluation.evaluate import Evaluation as Evaluation
 from quadjax.evaluation.evaluate import evaluate as evaluate
+from quadjax.evaluation.report import Report as Report
 from quadjax.export.convert import export_c as export_c
 from quadjax.learners.ppo import PPO as PPO
 from quadjax.learners.schedules import Schedule as Schedule

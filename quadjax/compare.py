@@ -111,7 +111,11 @@ def run_comparison(setting: Setting, parts: Sequence[str], folder: Path, report:
         groups = groups_of(flown)
         write_report(groups, setting.race, folder / "report")
         result["rms error to the first-order response"] = {
-            label: [round(float(x), 4) for x in signals.rms]
+            label: [
+                round(float(x), 4)
+                for x, unit in zip(signals.rms, signals.units, strict=True)
+                if unit == signals.units[0]  # of the rotors, or of the body rates
+            ]
             for label, (_, signals) in fastest_responses(groups, setting.race).items()
         }
     if "plants" in parts:

@@ -160,7 +160,7 @@ class Response:
     low: np.ndarray  # (k,)
     high: np.ndarray  # (k,)
     names: Sequence[str]
-    unit: str
+    units: Sequence[str]  # of each
 
     @property
     def error(self) -> np.ndarray:
@@ -174,7 +174,7 @@ class Response:
 
 
 def response(flight: Flight, vehicle: Vehicle) -> Response | None:
-    """Propeller speeds, or body rates, with their commands.
+    """Propeller speeds, or body rates and specific thrust, with their commands.
 
     None for a flight without such commands, or whose model the vehicle has no constants of.
     """
@@ -183,16 +183,29 @@ def response(flight: Flight, vehicle: Vehicle) -> Response | None:
     if kind not in (vehicle.model, *vehicle.models) or "actuators" not in flight.signals:
         return None
     constants = vehicle.with_model(kind).constants
+    command, step = flight["command"], float(np.median(np.diff(flight.time)))
     if kind == "motor":
-        signal, command, tau = flight.signals["actuators"], flight["command"], constants["tau"]
+        parts, lags = [flight.signals["actuators"]], [constants["tau"]]
         low, high = (np.full(4, constants[f"rpm_{end}"]) for end in ("min", "max"))
     else:
-        signal, command = flight.signals["rates"], flight["command"][:, :3]
-        tau, high = constants["tau_rate"], np.array([constants[f"{axis}_max"] for axis in "pqr"])
-        low = -high
-    step = float(np.median(np.diff(flight.time)))
-    model = first_order(np.clip(command, low, high), signal.values[0], tau, step)
-    return Response(signal.values, command, model, low, high, signal.labels, str(signal.unit))
+        parts = [flight.signals["rates"], flight.signals["actuators"]]
+        lags = [constants["tau_rate"], constants["tau_thrust"]]
+        rates = np.array([constants[f"{axis}_max"] for axis in "pqr"])
+        low = np.append(-rates, constants["thrust_min"])
+        high = np.append(rates, constants["thrust_max"])
+        if parts[1].values.shape[1] != 1:  # rotor speeds of a log, and no thrust
+            parts, low, high, command = parts[:1], low[:3], high[:3], command[:, :3]
+    actual = np.concatenate([part.values for part in parts], axis=1)
+    names = [label for part in parts for label in part.labels]
+    units = [str(part.unit) for part in parts for _ in range(part.values.shape[1])]
+    lag = np.concatenate(
+        [[tau] * part.values.shape[1] for part, tau in zip(parts, lags, strict=False)]
+    )
+    wanted = np.clip(command, low, high)
+    model = np.stack(
+        [first_order(wanted[:, i], actual[0, i], lag[i], step) for i in range(len(lag))], axis=1
+    )
+    return Response(actual, command, model, low, high, names, units)
 
 
 def error_figure(flight: Flight, signals: Response, gates: int, title: str = "") -> Figure:
@@ -205,7 +218,8 @@ def error_figure(flight: Flight, signals: Response, gates: int, title: str = "")
         title: of the figure.
     """
     figure = new_figure(9.6, 0.9 + 1.25 * len(signals.names))
-    grid = figure.subplots(len(signals.names), 2, sharex=True, sharey="col")
+    same_unit = len(set(signals.units)) == 1
+    grid = figure.subplots(len(signals.names), 2, sharex=True, sharey="col" if same_unit else False)
     time, colors = flight.time, matplotlib.colormaps["viridis"]([0.1, 0.55, 0.75])
     small: dict[str, Any] = {"fontsize": 8, "color": INK}
     for index, (left, right) in enumerate(grid):
@@ -224,8 +238,8 @@ def error_figure(flight: Flight, signals: Response, gates: int, title: str = "")
             for number, passed in enumerate(flight.passages[:, 0], start=1):
                 low = 0.0 if number % gates == 0 else 0.94
                 axes.axvline(passed, ymin=low, color=MUTED, lw=0.8, zorder=0)
-        left.set_ylabel(f"{signals.names[index]}\n({signals.unit})", **small)
-        text = f"RMS {signals.rms[index]:.3g} {signals.unit}"
+        left.set_ylabel(f"{signals.names[index]}\n({signals.units[index]})", **small)
+        text = f"RMS {signals.rms[index]:.3g} {signals.units[index]}"
         right.set_title(text, loc="right", pad=2, **small)
     grid[0, 1].set_title("error to the first-order response", loc="left", pad=2, **small)
     for axes in grid[-1]:

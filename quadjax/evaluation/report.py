@@ -1,5 +1,6 @@
 """Tables and figures of groups of flights, as a paper has them, in a folder."""
 
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import provenance
 from quadjax.evaluation.charts import Response, box_figure, error_figure, gap_figure, response
 from quadjax.evaluation.figures import Groups, trajectory_figure
-from quadjax.evaluation.table import flights_table
+from quadjax.evaluation.table import Format, flights_table
 from quadjax.flights.flight import Flight, fastest
 
 FORMATS = ("pdf", "svg", "png")
@@ -58,15 +59,59 @@ def _numbers(flight: Flight) -> dict[str, object]:
     return {"name": flight.name, **rounded, "crash": flight.crash or ""}
 
 
+@dataclasses.dataclass(frozen=True)
+class Report:
+    """Groups of flights next to each other: the tables and figures of a paper.
+
+    Attributes:
+        groups: flights by the label of their group, as ``evaluate(..).flights`` returns them.
+        config: of the race: its track, and the constants of its vehicle.
+    """
+
+    groups: Groups
+    config: Config
+
+    def table(self, format: Format = "text") -> str:
+        """Laps and total of each flight; the fastest of its group stands out."""
+        return flights_table(self.groups).format(format)
+
+    def boxes(self) -> Figure:
+        """Box plots of lap 1, of the later laps and of the total."""
+        return box_figure(self.groups)
+
+    def gaps(self) -> Figure:
+        """Time behind the first flight at each gate, all flights."""
+        return gap_figure(self.groups, len(self.config.track.gates))
+
+    def trajectories(self) -> Figure:
+        """From above and from the side, groups next to each other, colored by speed."""
+        return trajectory_figure(self.groups, self.config.track.gates)
+
+    def errors(self, label: str) -> Figure:
+        """Commands, limits and errors of the fastest flight of a group over time.
+
+        Of the rotors' speeds, or of body rates and thrust: the difference from the first-order
+        response to the commands, with the constants of the config's vehicle.
+
+        Raises:
+            InputError: the vehicle has no model of the commands of the group's fastest flight.
+        """
+        found = fastest_responses(self.groups, self.config).get(label)
+        if found is None:
+            raise InputError(f"{label}: the vehicle has no model of its commands")
+        best, signals = found
+        gates = len(self.config.track.gates)
+        return error_figure(best, signals, gates, f"{label}, {best.name}")
+
+
 def report_figures(groups: Groups, config: Config) -> Iterator[tuple[str, Figure]]:
     """Every figure of a report, by name."""
-    gates, labels = config.track.gates, list(groups)
-    yield "boxes", box_figure(groups)
-    yield "gaps", gap_figure(groups, len(gates))
-    yield "trajectories", trajectory_figure(groups, gates)
-    for label, (best, signals) in fastest_responses(groups, config).items():
-        title = f"{label}, {best.name}"
-        yield f"errors_{labels.index(label) + 1}", error_figure(best, signals, len(gates), title)
+    report, labels = Report(groups, config), list(groups)
+    yield "boxes", report.boxes()
+    yield "gaps", report.gaps()
+    yield "trajectories", report.trajectories()
+    for label in fastest_responses(groups, config):
+        yield f"errors_{labels.index(label) + 1}", report.errors(label)
 
 
 def fastest_responses(groups: Groups, config: Config) -> dict[str, tuple[Flight, Response]]:

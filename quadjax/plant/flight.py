@@ -63,6 +63,7 @@ class Frame(struct.PyTreeNode):
     force_bias: Vec3  # m/s^2, estimated
     command: Rotors | RateCommand  # of the policy
     rpm_command: Rotors  # rpm, in the last sample of the step
+    thrust: jax.Array | None  # m/s^2, () of the inner loop, of a policy that commands it
     target: jax.Array  # () int32
     over: jax.Array  # () bool, before the step
 
@@ -213,6 +214,7 @@ def frame_of(plan: Plan, drones: Drones, command: Rotors | RateCommand, rotors: 
         force_bias=now.force_bias,
         command=command,
         rpm_command=rotors,
+        thrust=drones.onboard.inner.thrust if isinstance(command, RateCommand) else None,
         target=drones.race.state.target,
         over=drones.race.over,
     )

@@ -204,13 +204,16 @@ def recorded_flights(
 ) -> list[recorded.Flight]:
     """The recorded runs by their true states, each cut at its end, numbered from 1.
 
+    The actuator of a policy that commands the inner loop is the thrust that this loop estimates.
+
     Args:
         flights: that have ended.
         gates: of the track, in order of passage.
         model: of the policy, whose commands and actuators they have.
     """
     frames, result, true = flights.frames, [], flights.frames.true
-    motion = true.position, true.velocity, true.euler, true.rates, true.actuators
+    actuators = true.actuators if frames.thrust is None else (frames.thrust,)
+    motion = true.position, true.velocity, true.euler, true.rates, actuators
     for run in range(frames.over.shape[-1]):
         vectors = (*motion, frames.command, (frames.target,))
         columns = (rows(flights, vector, run) for vector in vectors)

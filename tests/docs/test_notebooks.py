@@ -33,11 +33,9 @@ SMALL = {
     ],
     "fixed_point": ['POLICY, FLIGHTS, LAPS, VECTORS = "e2e.npz", 4, 1, 200'],
     "reproduce_paper": [
-        'PRESETS = {"SHAC": "e2e", "PPO": "e2e_ppo"}',
-        'STEPS = {"SHAC": 512, "PPO": 512}',
-        'SHIPPED = {"INDI, SHAC, whole preset": ("indi", "indi_shac.npz")}',
+        'AUTHORS, STEPS = "nowhere", {"E2E": 512, "INDI": 512}',
         f"OVERRIDES = {SHORT}",
-        "RUNS, SEED = 2, 0",
+        "RUNS, LAPS, SEED = 2, 1, 0",
     ],
     "residual_fit": [
         "FLIGHTS, LAPS, SEED, LEAST_SECONDS = 2, 1, 0, 2.5",

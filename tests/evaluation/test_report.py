@@ -121,13 +121,18 @@ def test_errors_are_to_the_first_order_response_of_the_commands(groups):
     rate = RACE.vehicle.with_model("rate").constants
     signals = response(e2e, RACE.vehicle)
     np.testing.assert_allclose(signals.error, 0.0, atol=1e-6)
-    assert (signals.low[0], signals.high[0], signals.unit) == (3000, 11000, "rpm")
+    assert (signals.low[0], signals.high[0], signals.units[0]) == (3000, 11000, "rpm")
     command = np.random.default_rng(0).uniform(-2, 2, indi["command"].shape)
     indi = indi.with_signals(command=command)
     own = response(indi, RACE.vehicle)
     start = indi["rates"][0]
     wanted = indi["rates"] - first_order(command[:, :3], start, rate["tau_rate"], STEP)
-    np.testing.assert_allclose(own.error, wanted, atol=1e-6)
+    np.testing.assert_allclose(own.error[:, :3], wanted, atol=1e-6)
+    thrust = indi["actuators"][:, 0] - first_order(
+        np.clip(command[:, 3], 0.0, 15.0), indi["actuators"][0, 0], rate["tau_thrust"], STEP
+    )
+    np.testing.assert_allclose(own.error[:, 3], thrust, atol=1e-6)
+    assert tuple(own.units) == ("rad/s",) * 3 + ("m/s^2",) and own.names[3] == "thrust"
     names = dict(report_figures(groups, RACE))
     assert {"errors_1", "errors_2"} <= set(names)
     ticks = [line for line in names["errors_1"].axes[1].lines if len(line.get_xdata()) == 2]
