@@ -7,8 +7,12 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
+from quadjax.core.files import check_file
 from quadjax.core.interruptions import loading
+from quadjax.export.names import check_new_folder, symbol_name
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS
+
+Target = Annotated[str, Parameter(choices=tuple(TARGETS))]
 
 
 def export(
@@ -16,7 +20,7 @@ def export(
     /,
     *,
     output: opt.Folder,
-    target: Annotated[str, Parameter(choices=tuple(TARGETS))] = DEFAULT_TARGET,
+    target: Target = DEFAULT_TARGET,
     name: str | None = None,
     range_: Annotated[list[str] | None, Parameter(name="--range", metavar="FIELD=R")] = None,
     track: Annotated[str | None, opt.config_of("tracks")] = None,
@@ -52,6 +56,8 @@ def export(
         overwrite: Replace an earlier export; write to a folder that no export made, and
             replace its files of the same names.
     """
+    check_file(policy)
+    check_new_folder(output, symbol_name(name, policy.name), overwrite)
     with loading():
         from quadjax.export.convert import export_c
         from quadjax.export.ranges import parse_overrides

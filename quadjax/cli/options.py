@@ -88,6 +88,8 @@ def _run_name(_: object, tokens: Sequence[Token]) -> str:
 
 
 def _policy_file(_: object, tokens: Sequence[Token]) -> Path:
+    if not tokens[0].value:
+        raise ValueError("'', allowed: a policy file, or the name of a shipped one")
     return find_policy(tokens[0].value)
 
 

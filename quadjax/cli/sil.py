@@ -7,14 +7,17 @@ from typing import Annotated
 from cyclopts import Group, Parameter, Token
 
 from quadjax.cli import options as opt
+from quadjax.cli.export import Target
 from quadjax.cli.output import steps, wrote
 from quadjax.cli.view import view as show
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.folders import kind_of, results
 from quadjax.core.interruptions import interruptions, loading
-from quadjax.core.resources import policy_names
+from quadjax.core.resources import find_policy, policy_names
+from quadjax.export.names import KIND, report_of
+from quadjax.export.targets import DEFAULT_TARGET
 
-STOPPING = b"\nstopping: the flight so far is saved; Ctrl-C again ends without saving\n"
+STOPPING = b"\nstopping: a flight that has begun is saved; Ctrl-C again ends without saving\n"
 FAULTS = Group("Faults, of messages in either direction", sort_key=2)
 
 
@@ -31,9 +34,10 @@ Probability = Annotated[float, Parameter(converter=opt.number(0.0, 1.0), metavar
 
 
 def sil(
-    source: Annotated[Path, Parameter(name="DIR")],
+    source: Annotated[opt.Folder, Parameter(name="DIR|POLICY")],
     /,
     *overrides: opt.Overrides,
+    target: Target = DEFAULT_TARGET,
     listen: Address | None = None,
     race: opt.Race = None,
     plant: opt.PlantConfig = "standin",
@@ -60,21 +64,25 @@ def sil(
 ) -> int:
     """Fly exported C on a simulated drone: software in the loop.
 
-    The C of DIR, a folder of quadjax export, is compiled for this machine and runs
-    as a separate process. States go to it and commands come back over a socket.
-    With --listen, your own autopilot connects instead; DIR may then also be a
-    preset or a YAML file, whose race is flown. The drone is the stand-in plant,
+    The C of DIR, a folder of quadjax export, or that of a policy is compiled for
+    this machine and runs as a separate process: the glue of the target's autopilot,
+    in a stand-in of its firmware. States go to it and commands come back over a
+    socket. With --listen, your own autopilot connects instead; DIR may then also be
+    a preset or a YAML file, whose race is flown. The drone is the stand-in plant,
     whose config key=value overrides change, or with --simulator the simulator that
     policies are trained in, the only one for the models racing and a2rl.
     OUTPUT/NAME gets states.npz (for quadjax view and quadjax evaluate --flights),
     sil.json, table.txt and message.h, the messages for C.
 
-    Example: quadjax sil out/ --late 0.2 --delay 20
+    Examples: quadjax sil indi_shac
+        quadjax sil out/ --late 0.2 --delay 20
 
     Args:
-        source: Folder of quadjax export, or NAME.qjp in it; with --listen also a config.
+        source: Folder of quadjax export, NAME.qjp in it, a policy file, or a shipped policy's
+            name; with --listen also a config.
+        target: Processor and autopilot of a policy; that of DIR for a folder.
         listen: Wait there for your own autopilot, at most 120 s.
-        race: Config of the race, if that of DIR names your own code (config.yaml of DIR).
+        race: Config of the race (default: config.yaml of DIR, or that of the policy).
         simulator: Fly in the simulator of the training.
         speed: Speed as a multiple of real time (default: wait for every command and run as
             fast as possible).
@@ -91,6 +99,16 @@ def sil(
             rotor_speed=rpm; may be repeated.
         view: Show the flight in the browser.
     """
+    source = source if listen else _source_of(source)
+    opt.exclude("plant", "simulator")
+    if source.is_dir() or listen:
+        opt.refuse("with the folder of an export, or --listen", "target")
+    if listen and not source.is_dir():
+        opt.refuse(f"with {source}, which is a race itself", "race")
+    if not late:
+        opt.refuse("without --late", "delay")
+    if simulator and overrides:
+        raise InputError(f"{overrides[0]} has no effect with --simulator")
     with loading():
         from quadjax.plant.config import load_plant_config
         from quadjax.sil.faults import WRONG_UNITS, Faults, parse_nan
@@ -98,14 +116,6 @@ def sil(
         from quadjax.sil.fly import Timing
         from quadjax.sil.run import FILES, STATES_FILE, Setting, fly_all
 
-    source = source if listen else _folder_of(source)
-    opt.exclude("plant", "simulator")
-    if not source.is_dir():
-        opt.refuse(f"with {source}, which is a race itself", "race")
-    if not late:
-        opt.refuse("without --late", "delay")
-    if simulator and overrides:
-        raise InputError(f"{overrides[0]} has no effect with --simulator")
     for unit in wrong_unit or ():
         if unit not in WRONG_UNITS:
             raise InputError(f"--wrong-unit {unit}, allowed: {', '.join(WRONG_UNITS)}")
@@ -113,7 +123,7 @@ def sil(
     faults = Faults(drop, late, delay / 1000.0, damage, nans, units)
     drone = None if simulator else load_plant_config(plant, overrides)
     timing = Timing(speed, timeout)
-    setting = Setting(source, drone, listen, laps, runs, seed, timing, faults, race)
+    setting = Setting(source, drone, listen, laps, runs, seed, timing, faults, race, target)
     folder = output / name
     with (
         results(folder, "flight", FILES, overwrite) as new,
@@ -129,25 +139,35 @@ def sil(
         raise last.gone
     if view and len(last.flight.time):
         show(str(folder / STATES_FILE), output=folder / "flight.html", open_=True)
+    else:
+        print(f"Next: quadjax view {folder / STATES_FILE}")
+    if source.is_file() and not listen:
+        print(f"Then: quadjax export {source} --target {target} --output out")
+    elif not listen:
+        print(f"Then: copy the C of {source} to the autopilot, docs/guide/on_your_drone.md")
     return INTERRUPTED if last.flight.crash == STOPPED else 0
 
 
-def _folder_of(source: Path) -> Path:
-    """The folder of an export, from itself or from the words in it.
+def _source_of(source: Path) -> Path:
+    """The folder of an export, from itself or from the words in it, or a policy file.
 
     Raises:
         InputError: there is none; with what to run instead.
     """
-    from quadjax.export.convert import KIND
-
-    if source.is_dir():
-        return source
     if source.suffix == ".qjp" and source.is_file():
-        if kind_of(source.parent) == KIND:
-            return source.parent
-        raise InputError(f"{source}: it names no race; give the folder that quadjax export made")
-    if source.suffix == ".npz" or source.name in policy_names():
-        export = f"quadjax export {source} --output c && quadjax sil c"
-        raise InputError(f"{source}: a policy, expected the folder of its C: {export}")
-    hint = "an autopilot of your own needs --listen HOST:PORT"
-    raise InputError(f"{source}: no such folder of quadjax export; {hint}")
+        if kind_of(source.parent) != KIND:
+            raise InputError(f"{source}: it names no race; give the folder of quadjax export")
+        source = source.parent
+    if source.is_dir() and kind_of(source) == KIND:
+        report_of(source)
+        return source
+    policy = find_policy(source)
+    if policy.is_file() and kind_of(source) != KIND:
+        return policy
+    if source.is_dir():
+        report_of(source)
+        return source
+    raise InputError(
+        f"{source}: no folder of quadjax export, and no policy, allowed also: "
+        f"{', '.join(policy_names())}; an autopilot of your own needs --listen HOST:PORT"
+    )

@@ -2,7 +2,6 @@
 
 import dataclasses
 import sys
-from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -10,12 +9,13 @@ from cyclopts import Parameter
 from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
 from quadjax.core.errors import as_options
-from quadjax.core.files import write_json
+from quadjax.core.files import check_file, write_json
 from quadjax.core.interruptions import loading
+from quadjax.export.names import POLICY_FILE, report_of
 
 
 def verify(
-    folder: Annotated[Path, Parameter(name="DIR")],
+    folder: Annotated[opt.Folder, Parameter(name="DIR")],
     /,
     *,
     vectors: Annotated[int, Parameter(converter=opt.whole(100, 10**6))] = 5_000,
@@ -42,14 +42,17 @@ def verify(
         race: Config of the race, if that of DIR names your own code (config.yaml of DIR).
         json: Write the table.
     """
+    is_file = folder.suffix == ".qjp"
+    if is_file:
+        opt.refuse("on a .qjp file", "runs", "allow_unfinished", "allow_other_race", "race")
+        check_file(folder)
+    else:
+        report_of(folder)
     with loading():
         from quadjax.core.provenance import provenance
         from quadjax.export.verify.checks import CHECKS
         from quadjax.export.verify.result import FAILED, Result, counts_text, row_text
         from quadjax.export.verify.run import verify as verify_folder
-
-    if folder.suffix == ".qjp":
-        opt.refuse("on a .qjp file", "runs", "allow_unfinished", "allow_other_race", "race")
 
     def announce(name: str) -> None:
         if sys.stderr.isatty():
@@ -60,7 +63,7 @@ def verify(
             print("\r\033[K", end="", file=sys.stderr, flush=True)
         print(as_options(row_text(result, max(map(len, CHECKS)))), flush=True)
 
-    policy = folder if folder.suffix == ".qjp" else folder / "policy.npz"
+    policy = folder if is_file else folder / POLICY_FILE
     results = verify_folder(
         folder,
         vectors,
@@ -76,4 +79,7 @@ def verify(
     if json is not None:
         write_json(json, {"results": rows, "provenance": provenance(policy=policy)})
     wrote(json)
-    return int(any(result.verdict == FAILED for result in results))
+    failed = any(result.verdict == FAILED for result in results)
+    if not is_file and not failed:
+        print(f"Next: quadjax sil {folder}")
+    return int(failed)

@@ -15,6 +15,7 @@ from filelock import FileLock, Timeout
 
 from quadjax.core.errors import InputError, writing
 from quadjax.core.files import check_file, read_json, write_json
+from quadjax.core.interruptions import uninterrupted
 
 MARKER = ".quadjax.json"
 LOCK = ".lock"
@@ -157,9 +158,10 @@ def replacement(folder: Path | str, patterns: Iterable[str]) -> Iterator[Path]:
             for file in files:
                 if (folder / file).exists():
                     check_file(folder / file)
-            remove_files(folder, patterns)
-            for file in files:
-                (folder / file).parent.mkdir(parents=True, exist_ok=True)
-                (temporary / file).replace(folder / file)
+            with uninterrupted():
+                remove_files(folder, patterns)
+                for file in files:
+                    (folder / file).parent.mkdir(parents=True, exist_ok=True)
+                    (temporary / file).replace(folder / file)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

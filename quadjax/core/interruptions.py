@@ -45,6 +45,29 @@ def interruptions(message: bytes = STOPPING) -> Iterator[threading.Event]:
 
 
 @contextmanager
+def uninterrupted() -> Iterator[list[int]]:
+    """Hold Ctrl-C and SIGTERM back until the end of a short block, which is then whole.
+
+    Yields the signals that have come.
+    """
+    asked: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield asked
+        return
+    before = {
+        number: signal.signal(number, lambda number, frame: asked.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if asked:
+            signal.raise_signal(asked[0])
+
+
+@contextmanager
 def loading() -> Iterator[None]:
     """End the process at once on Ctrl-C, for use around imports.
 

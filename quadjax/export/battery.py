@@ -112,27 +112,3 @@ def prove_battery(tables: BatteryTables) -> None:
             "estimator of the highest rpm: its sums may reach 2^62, allowed: below 2^62; "
             "the motors are too slow"
         )
-
-
-def update_error(tables: BatteryTables) -> float:
-    """The largest error of the estimate in one sample, rpm, against real arithmetic.
-
-    From any one memory that the estimator can have and any integers of speeds and commands: what
-    is rounded in one sample, and the rounding of the factors.
-    """
-    full, k, lead, gain = float(1 << FINE_BITS), tables.low_pass, tables.lead, tables.gain
-    error = 2.0 * full + (2 * (1 << FINE_BITS) * lead.factor >> lead.shift) + 2.0
-
-    def wrong(factor: Rescale) -> float:
-        return 2.0 ** -(factor.shift + 1)  # rounding of the factor itself
-
-    def rounding(factor: Rescale) -> float:
-        return 0.5 + 2.0 ** (SPLIT - factor.shift)  # of a product with it, in its last bit
-
-    moved = rounding(k) + 2.0 * full * wrong(k)  # of a low-pass
-    off = moved + rounding(lead) + 2.0 * full * wrong(lead)
-    weight = moved / full + 2.0**-INPUT_BITS  # of ``limited``, cut to Q30
-    product = off + error * weight + off * weight + rounding(LIMITED)
-    real = gain.factor / 2.0**gain.shift + wrong(gain)
-    total = MOTORS * (real * product + error * wrong(gain)) + rounding(gain)
-    return 1.001 * total * tables.unit

@@ -13,15 +13,9 @@ from quadjax.export.network import FixedLayer
 from quadjax.export.noise import NoiseTables
 from quadjax.export.proof import prove_layers
 from quadjax.export.race_tables import (
-    ATTITUDE,
-    COPY,
     FIELDS,
-    GATE,
-    POSITION,
     QUATERNION_EXPONENT,
-    ROTATION,
     VECTORS,
-    VELOCITY,
     YAW_EXPONENT,
     Input,
     RaceTables,
@@ -70,28 +64,28 @@ def check(policy: FixedPolicy) -> None:
 
 def _is_input(race: RaceTables, part: Input) -> bool:
     exponent, exponents = race.box.exponent[part.name], race.exponents
-    own = [exponents[i] for i in part.sources] if part.kind != GATE else []
+    own = [exponents[i] for i in part.sources] if part.kind != "gate" else []
     size, kind = race.box.layout[part.name].size, part.kind
     fine = abs(exponent) <= LARGEST_EXPONENT and 0 <= part.lag <= LARGEST_LAG
     fine &= all(source >= 0 for source in part.sources)
     if kind in VECTORS:
         fine &= part.sources[0] == race.starts.get(VECTORS[kind]) and size == (
-            6 if kind == ROTATION else 3
+            6 if kind == "rotation" else 3
         )
-    if kind in (POSITION, VELOCITY):
+    if kind in ("position", "velocity"):
         fine &= len(set(own)) == 1 and 1 <= INPUT_BITS - own[0] + exponent <= LARGEST_SHIFT
-    if kind == ATTITUDE:
+    if kind == "attitude":
         fine &= own == [exponent, exponent, YAW_EXPONENT]
-    if kind == ROTATION:
+    if kind == "rotation":
         fine &= set(own) == {QUATERNION_EXPONENT}
         fine &= 1 - INPUT_BITS <= exponent <= LARGEST_SHIFT - INPUT_BITS
-    if kind == COPY:
+    if kind == "copy":
         fine &= set(own) == {exponent}
     for rescale in part.rescales:
         if rescale is not None:
             fine &= 1 <= rescale.shift <= LARGEST_SHIFT
             fine &= min(rescale.middle, rescale.factor) > -(2**31)
-    if kind == GATE:
+    if kind == "gate":
         fine &= max(part.sources) < race.next_gate.shape[1]
     return bool(fine)
 

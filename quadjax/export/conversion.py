@@ -3,23 +3,16 @@
 import dataclasses
 import functools
 import hashlib
-import re
 import textwrap
 from pathlib import Path
 
-import jax.numpy as jnp
-import numpy as np
-
-from quadjax.core import mlp
-from quadjax.core.errors import InputError
-from quadjax.export import emulator, flights
-from quadjax.export.battery import make_battery, update_error
-from quadjax.export.cases import Cases, make_cases, uniform_samples
+from quadjax.export import flights
+from quadjax.export.battery import make_battery
+from quadjax.export.cases import Cases, make_cases
 from quadjax.export.disturbances import CUTOFF, SAMPLE_RATE, make_estimator
 from quadjax.export.flights import Rollouts
 from quadjax.export.inner_loop import FILE as INNER_LOOP
 from quadjax.export.inner_loop import inner_loop
-from quadjax.export.integers import WORD, enable_x64
 from quadjax.export.network import convert
 from quadjax.export.noise import make_noise
 from quadjax.export.proof import Proof, prove
@@ -29,29 +22,17 @@ from quadjax.export.ranges import track_ranges
 from quadjax.export.render import (
     call_frequency,
     glue_header,
-    identifier,
     policy_header,
     sizes_header,
 )
-from quadjax.export.targets import (
-    DEFAULT_TARGET,
-    Target,
-    check_target,
-    observed_fields,
-    runtime_files,
-    target_of,
-)
-from quadjax.export.words import NAME_BYTES, FixedPolicy, pack
+from quadjax.export.suitability import check_target, observed_fields, target_of
+from quadjax.export.targets import DEFAULT_TARGET, Target, runtime_files
+from quadjax.export.words import FixedPolicy, pack
 from quadjax.policy.file import Policy
 from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM
 from quadjax.vehicle.battery import middle_limit
 
 COMMENT_WIDTH = 94
-LONGEST_NAME = NAME_BYTES - 1
-BOX_SAMPLES = 20_000
-RESERVED = re.compile(r"(qj|quadjax|neural_network|nn_controller|controller_quadjax)(_|$)")
-
-Json = dict[str, object]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,20 +110,6 @@ def sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def symbol_name(name: str | None, file: str) -> str:
-    """The name of the files and of the table in C: the requested one, or the policy file's."""
-    if name is None:
-        stem = identifier(Path(file).stem)
-        return (f"policy_{stem}" if RESERVED.match(stem) else stem)[:LONGEST_NAME]
-    if identifier(name) != name or len(name) > LONGEST_NAME:
-        raise InputError(
-            f"--name {name!r}: expected a lower-case C identifier of at most {LONGEST_NAME} letters"
-        )
-    if RESERVED.match(name):
-        raise InputError(f"--name {name!r}: files of the runtime have such names; choose another")
-    return name
-
-
 def convert_policy(
     policy: Policy,
     own: OwnRace,
@@ -195,97 +162,3 @@ def convert_policy(
     noise = make_noise(policy, network) if options.sampled else None
     fixed = FixedPolicy(options.name, *tables, sha256(path), own.time_step, cases, noise)
     return Converted(policy, file, fixed, proof, rollouts, own, options)
-
-
-# ---- report --------------------------------------------------------------------------------------
-
-
-def float64_commands(policy: Policy, observations: np.ndarray) -> np.ndarray:
-    """Commands (n, 4) of the real-valued policy, in float64."""
-    with enable_x64(True):
-        layers = [tuple(jnp.asarray(x, jnp.float64) for x in layer) for layer in policy.layers]
-        y = np.asarray(mlp.apply(layers, jnp.asarray(observations, jnp.float64), "relu"))
-    low, high = policy.command_low, policy.command_high
-    return low + 0.5 * (high - low) * (np.clip(y, -1.0, 1.0) + 1.0)
-
-
-def make_report(converted: Converted) -> Json:
-    """Proven bounds and measurements as JSON takes them; ``verify`` reads the options from it."""
-    fixed, rollouts = converted.fixed, converted.rollouts
-    assert rollouts is not None and rollouts.laps is not None
-    laps = rollouts.laps
-    network, box, own = fixed.network, fixed.network.box, converted.own
-    unit = 2.0**network.fraction_bits
-    inputs = zip(box.layout.labels, box.ranges.tolist(), box.units, strict=True)
-    samples = {
-        "random inputs": uniform_samples(network, BOX_SAMPLES, 0),
-        "simulated": rollouts.observations,
-    }
-    report: Json = {
-        "format_version": fixed.version,
-        "vehicle": network.model.name,
-        "unit": network.unit,
-        "inputs": [dict(zip(("name", "range", "unit"), row, strict=True)) for row in inputs],
-        "fraction_bits": network.fraction_bits,
-        "command_low": (network.command_low / unit).tolist(),
-        "command_high": (network.command_high / unit).tolist(),
-        "layers": [_layer(converted, index) for index in range(len(network.layers))],
-        "error_bound": converted.proof.error_bound.tolist(),
-        "measured_error": {name: _measure(converted, x) for name, x in samples.items()},
-        "policy": converted.file,
-        "policy_sha256": fixed.policy_hash,
-        "source": converted.policy.source,
-        "track": own.track,
-        "config": own.origin,
-        "config_sha256": hashlib.sha256(own.config.encode()).hexdigest(),
-        "deterministic": fixed.noise is None,
-        "options": dataclasses.asdict(converted.options),
-        "estimator": None,
-        "battery": None,
-        "noise": None,
-        "flights": {
-            "runs": len(laps.crashes),
-            "finished": laps.finished,
-            "laps": laps.lap_times.shape[1],
-            "observations": rollouts.steps,
-        },
-    }
-    if fixed.estimator is not None:
-        ranges = [2.0**e for e in fixed.estimator.channel_exponents]
-        residual = own.residual and sha256(own.residual)
-        report["estimator"] = {"residual_sha256": residual, "channel_ranges": ranges}
-    if (battery := fixed.battery) is not None:
-        numbers = {
-            f"{name}_rpm": getattr(battery, name) * battery.unit
-            for name in ("lowest", "highest", "first")
-        }
-        report["battery"] = numbers | {"update_error_rpm": update_error(battery)}
-    if fixed.noise is not None:
-        deviation = (np.array(fixed.noise.factors) / unit).tolist()
-        report["noise"] = {"standard_deviation": deviation}
-    return report
-
-
-def _layer(converted: Converted, index: int) -> Json:
-    """What is proven of a layer."""
-    ranges, hidden = converted.proof.layers[index], index < len(converted.fixed.network.hidden)
-    outputs = [max(0, high >> WORD) for high in ranges.high]
-    return {
-        "rows": len(outputs),
-        "columns": int(converted.fixed.network.layers[index].weights.shape[1]),
-        "largest_accumulator": str(max(ranges.magnitude)),
-        "accumulator_bits": round(converted.proof.accumulator_bits[index], 4),
-        "largest_output": max(outputs) if hidden else None,
-        "never_active": outputs.count(0) if hidden else None,
-    }
-
-
-def _measure(converted: Converted, observations: np.ndarray) -> Json:
-    """Errors of the fixed-point policy over observations (n, inputs), in the command's unit."""
-    fixed = emulator.commands(converted.fixed.network, observations)
-    error = np.abs(fixed - float64_commands(converted.policy, observations))
-    return {
-        "samples": len(observations),
-        "largest": error.max(axis=0).tolist(),
-        "median": float(np.median(error)),
-    }

@@ -11,31 +11,31 @@ from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError, writing
 from quadjax.core.files import whole_file, write_bytes, write_json
-from quadjax.core.folders import claim, kind_of, replacement
+from quadjax.core.folders import claim, replacement
 from quadjax.core.provenance import provenance
-from quadjax.export.conversion import (
-    Converted,
-    Json,
-    Options,
-    convert_policy,
-    make_report,
+from quadjax.export.conversion import Converted, Options, convert_policy
+from quadjax.export.disturbances import CUTOFF, SAMPLE_RATE, check_cutoff
+from quadjax.export.flights import SEED, Rollouts
+from quadjax.export.inner_loop import FILE as INNER_LOOP
+from quadjax.export.names import (
+    CONFIG_FILE,
+    KIND,
+    POLICY_FILE,
+    REPORT,
+    RESIDUAL_FILE,
+    check_new_folder,
     symbol_name,
 )
-from quadjax.export.disturbances import CUTOFF, SAMPLE_RATE, check_cutoff
-from quadjax.export.flights import SEED
-from quadjax.export.inner_loop import FILE as INNER_LOOP
 from quadjax.export.network import check_policy
-from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, own_race
-from quadjax.export.render import render
-from quadjax.export.targets import DEFAULT_TARGET, TARGETS, find_target, runtime_files, target_of
+from quadjax.export.race_source import check_race, own_race
+from quadjax.export.report import Json, make_report, report_text
+from quadjax.export.suitability import target_of
+from quadjax.export.targets import DEFAULT_TARGET, TARGETS, find_target, runtime_files
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 
-KIND = "export"
-POLICY_FILE = "policy.npz"
 FOLDERS = ("paparazzi", "indiflight", "indiflight_2026", "qjp", "px4", "crazyflie", "c")
 ROLLOUTS_FILE = "rollouts.npz"  # of earlier releases
-REPORT = "_report.json"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,11 +55,6 @@ class Export:
     def text(self) -> str:
         """The report as text."""
         return report_text(self.report, self.name)
-
-
-def report_text(report: Json, name: str) -> str:
-    """A report as text."""
-    return render("report.txt", {"r": report, "name": name, "unit": report["unit"]})
 
 
 def export_c(
@@ -123,26 +118,38 @@ def export_c(
     symbol = symbol_name(name, file)
     files = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, ROLLOUTS_FILE, INNER_LOOP)
     files = (*files, f"{symbol}[._]*", *FOLDERS)
-    _check_folder(folder, symbol, overwrite)
+    check_new_folder(folder, symbol, overwrite)
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
         numbers = (ranges or {}, *rates)
         allowed = (allow_unfinished, allow_other_race)
         options = Options(symbol, *numbers, *allowed, target, sampled)
-        own = Policy.load(path)
-        check_policy(own)
-        target_of(target, own.vehicle)
-        found, origin = race_of_policy(own, path.name, config, track)
-        race = own_race(found, own, origin, path.name)
-        if not allow_other_race:
-            check_race(own, race, path)
-        converted = convert_policy(own, race, options, path.name, path)
+        converted = convert_file(path, options, config, track)
         _check_rates(converted, sample_rate, cutoff)
-        report = make_report(converted) | {"provenance": provenance(found, path, SEED)}
+        source = provenance(converted.own.config, path, SEED)
+        report = make_report(converted) | {"provenance": source}
         export = Export(folder, converted, report)
         with writing(folder), replacement(folder, _optional(symbol)) as new:
             _write(export, new, path)
         _remove_empty(folder)
     return export
+
+
+def convert_file(
+    path: Path,
+    options: Options,
+    config: Path | str | Config | None = None,
+    track: str | None = None,
+    rollouts: Rollouts | None = None,
+) -> Converted:
+    """Convert a policy file; the arguments are those of ``export_c`` and ``convert_policy``."""
+    policy = Policy.load(path)
+    check_policy(policy)
+    target_of(options.target, policy.vehicle)
+    found, origin = race_of_policy(policy, path.name, config, track)
+    own = own_race(found, policy, origin, path.name)
+    if not options.allow_other_race:
+        check_race(policy, own, path)
+    return convert_policy(policy, own, options, path.name, path, rollouts)
 
 
 def _check_rates(converted: Converted, sample_rate: float | None, cutoff: float | None) -> None:
@@ -166,29 +173,6 @@ def _policy_file(policy: Policy | Path | str) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         policy.save(Path(folder) / POLICY_FILE)
         yield Path(folder) / POLICY_FILE
-
-
-def _check_folder(folder: Path, name: str, overwrite: bool) -> None:
-    """Reject a folder of other files, which an export would be mixed with, or of an export."""
-    others = sorted(path.name for path in folder.glob("*")) if folder.is_dir() else []
-    names = [file.removesuffix(REPORT) for file in others if file.endswith(REPORT)]
-    another = [other for other in names if other != name]
-    if another:
-        raise InputError(
-            f"{folder}: holds an export named {another[0]!r}; choose another folder, or delete it"
-        )
-    if overwrite:
-        return
-    if names:
-        raise InputError(
-            f"{folder} holds results of export already: replace it (overwrite=True) or choose "
-            "another name"
-        )
-    if others and kind_of(folder) is None:
-        raise InputError(
-            f"{folder} holds no export, but {others[0]}: choose another folder, or write next to "
-            "these files (overwrite=True)"
-        )
 
 
 def _optional(name: str) -> tuple[str, ...]:
@@ -215,7 +199,7 @@ def _write(export: Export, folder: Path, policy: Path) -> None:
     converted, name = export.converted, export.name
     files = converted.files() | {
         f"{name}_report.txt": export.text.encode(),
-        CONFIG_FILE: converted.own.config.encode(),
+        CONFIG_FILE: converted.own.text.encode(),
     }
     for file, data in files.items():
         write_bytes(folder / file, data)

@@ -26,13 +26,7 @@ from quadjax.export.integers import (
 from quadjax.export.network import FixedNetwork, convert
 from quadjax.export.proof import prove
 from quadjax.export.race_tables import (
-    ATTITUDE,
-    COPY,
-    GATE,
-    POSITION,
     QUATERNION_EXPONENT,
-    ROTATION,
-    SCALED,
     TURN_BITS,
     TURNS_PER_UNIT,
     TWO_PI,
@@ -158,24 +152,24 @@ def observe(
 
 def _input(tables: RaceTables, part: Input, q: np.ndarray, target: np.ndarray) -> np.ndarray:
     """The inputs (n, size) of one field, before clipping."""
-    if part.kind == GATE:
+    if part.kind == "gate":
         return tables.next_gate[target][:, part.sources]
     then = np.maximum(np.arange(len(q)) - part.lag, 0)
     values, network = q[then][:, part.sources], tables.box.exponent[part.name]
     gates = tables.track[target]
-    if part.kind == SCALED:
+    if part.kind == "scaled":
         pairs = zip(part.rescales, values.T, strict=True)
         zero = np.zeros(len(q), np.int64)
         return np.stack([zero if r is None else r.apply(value) for r, value in pairs], axis=1)
-    if part.kind == ATTITUDE:
+    if part.kind == "attitude":
         yaw = (values[:, 2] << YAW_EXPONENT) - gates["yaw"]
         return np.column_stack([values[:, :2], round_shift(wrap(yaw), network)])
-    if part.kind == COPY:
+    if part.kind == "copy":
         return values
-    if part.kind == ROTATION:
+    if part.kind == "rotation":
         vectors, shift = axes_of(values), INPUT_BITS + network
     else:
-        if part.kind == POSITION:
+        if part.kind == "position":
             values = values - gates["position"]
         vectors, shift = [values], INPUT_BITS - tables.fields[part.kind][0] + network
     columns = [x for vector in vectors for x in _rotate(vector, gates["cosine"], gates["sine"])]

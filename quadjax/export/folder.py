@@ -7,55 +7,13 @@ from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, read_json
-from quadjax.core.folders import check_kind
-from quadjax.export.conversion import Converted, Options, convert_policy, sha256, symbol_name
-from quadjax.export.convert import KIND, POLICY_FILE, REPORT, report_text
-from quadjax.export.race_source import CONFIG_FILE, OwnRace, own_race
+from quadjax.export.conversion import Converted, Options, convert_policy, sha256
+from quadjax.export.names import CONFIG_FILE, POLICY_FILE, report_of, symbol_name
+from quadjax.export.race_source import own_race
 from quadjax.export.read import read_qjp
+from quadjax.export.report import report_text
 from quadjax.export.targets import find_target
 from quadjax.policy.file import Policy
-
-
-@dataclasses.dataclass(frozen=True)
-class Inputs:
-    """What an exported folder was made from."""
-
-    options: Options
-    policy: Policy
-    config: Config
-    own: OwnRace
-    file: str  # name of the policy file
-    text: str  # the report
-
-
-def read_inputs(path: Path, config: Config | Path | str | None = None) -> Inputs:
-    """The inputs of an exported folder, without its sources.
-
-    Args:
-        path: of the folder.
-        config: of its race, named by the user; None: ``config.yaml`` of the folder, which may not
-            name code.
-
-    Raises:
-        InputError: no such folder, or a file in it that is missing or damaged.
-    """
-    check_kind(path, KIND)
-    if not path.is_dir():
-        raise InputError(f"{path}: no such folder")
-    reports = sorted(path.glob(f"*{REPORT}"))
-    if len(reports) != 1:
-        raise InputError(f"{path}: expected one *{REPORT}, found {len(reports)}")
-    options, file, text, config_hash = _read_report(reports[0])
-    policy = Policy.load(path / POLICY_FILE)
-    check_file(path / CONFIG_FILE)
-    if sha256(path / CONFIG_FILE) != config_hash:
-        raise InputError(f"{path / CONFIG_FILE}: not the one that {reports[0].name} names")
-    if config is None:
-        config = load_config(path / CONFIG_FILE, code=())
-    elif not isinstance(config, Config):
-        config = load_config(config)
-    own = own_race(config, policy, CONFIG_FILE, file)
-    return Inputs(options, policy, config, own, file, text)
 
 
 def read_folder(path: Path, config: Config | Path | str | None = None) -> Converted:
@@ -63,19 +21,27 @@ def read_folder(path: Path, config: Config | Path | str | None = None) -> Conver
 
     Args:
         path: of the folder.
-        config: as of ``read_inputs``.
+        config: of its race, named by the user; None: ``config.yaml`` of the folder, which may not
+            name code.
 
     Raises:
         InputError: no such folder, or a file in it that is missing, damaged or not what the
             converter writes.
     """
-    inputs = read_inputs(path, config)
-    policy, own, options = inputs.policy, inputs.own, inputs.options
+    report = report_of(path)
+    options, file, text, config_hash = _read_report(report)
+    policy = Policy.load(path / POLICY_FILE)
+    if sha256(path / CONFIG_FILE) != config_hash:
+        raise InputError(f"{path / CONFIG_FILE}: not the one that {report.name} names")
+    if config is None:
+        config = load_config(path / CONFIG_FILE, code=())
+    elif not isinstance(config, Config):
+        config = load_config(config)
+    own = own_race(config, policy, CONFIG_FILE, file)
     cases = read_qjp(path / f"{options.name}.qjp").cases
-    policy_file = path / POLICY_FILE
-    converted = convert_policy(policy, own, options, inputs.file, policy_file, cases=cases)
-    report = {f"{options.name}_report.txt": inputs.text.encode("utf-8")}
-    for name, content in (converted.files() | report).items():
+    converted = convert_policy(policy, own, options, file, path / POLICY_FILE, cases=cases)
+    texts = {f"{options.name}_report.txt": text.encode("utf-8")}
+    for name, content in (converted.files() | texts).items():
         check_file(path / name)
         if (path / name).read_bytes() != content:
             raise InputError(

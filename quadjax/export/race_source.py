@@ -12,6 +12,7 @@ import numpy as np
 from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
+from quadjax.export.names import RESIDUAL_FILE
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, fit_race, make_pilot
 from quadjax.policy.race import preset_of, race_of_policy
@@ -19,9 +20,6 @@ from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.observations import ESTIMATED, HIGHEST_RPM
 from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.residual import located
-
-CONFIG_FILE = "config.yaml"  # of a training run or an exported folder
-RESIDUAL_FILE = "residual.npz"  # of an exported folder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,8 +32,14 @@ class OwnRace:
     track: str
     vehicle: str
     origin: str  # where the configuration came from, for messages
-    config: str  # the configuration as YAML, with its residual in RESIDUAL_FILE
+    config: Config
     residual: Path | None  # the file of the residual
+
+    @property
+    def text(self) -> str:
+        """The configuration as YAML, with its residual in RESIDUAL_FILE."""
+        whole = self.config
+        return (whole.at("vehicle.residual", RESIDUAL_FILE) if self.residual else whole).to_yaml()
 
     @property
     def time_step(self) -> float:
@@ -58,8 +62,7 @@ def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") 
         InputError: a config for another vehicle, an observation that the race lacks, or command
             limits that the vehicle model cannot have.
     """
-    residual = config.vehicle.residual and located(config.vehicle.residual)
-    text = (config.at("vehicle.residual", RESIDUAL_FILE) if residual else config).to_yaml()
+    residual, whole = config.vehicle.residual and located(config.vehicle.residual), config
     source = "moment_ext" in policy.layout and policy.layout["moment_ext"].source
     if source:
         config = config.at("observation.disturbance", source)
@@ -82,7 +85,7 @@ def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") 
     )
     pilot = make_pilot(choices, params, policy, deterministic=True)
     track, vehicle = (Path(p.name or p.file or "").name for p in (config.track, config.vehicle))
-    return OwnRace(choices, params, pilot, track, vehicle, origin, text, residual or None)
+    return OwnRace(choices, params, pilot, track, vehicle, origin, whole, residual or None)
 
 
 def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> Constants:

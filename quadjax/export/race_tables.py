@@ -10,6 +10,7 @@ inputs are those of the policy's layout, in its order.
 import dataclasses
 import itertools
 import math
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -36,17 +37,16 @@ UNOBSERVED = 20  # exponent of numbers of the state that no input needs
 FARTHEST = 15  # exponent of the largest distance of a gate
 LARGEST_SPAN = 1e6
 # How the C computes a field: from numbers of the state, or from the gate alone.
-POSITION, VELOCITY, ATTITUDE, ROTATION, COPY, SCALED, GATE = (
-    *("position", "velocity", "attitude", "rotation", "copy", "scaled", "gate"),
-)
-KINDS = {  # field of the observation: how it is computed, and from which field of the state
-    "position": (POSITION, "position"),
-    "velocity": (VELOCITY, "velocity"),
-    "attitude": (ATTITUDE, "euler"),
-    "rotation": (ROTATION, "quaternion"),
-    "rates": (COPY, "rates"),
+Kind = Literal["position", "velocity", "attitude", "rotation", "copy", "scaled", "gate"]
+# Field of the observation: how it is computed, and from which field of the state.
+KINDS: dict[str, tuple[Kind, str]] = {
+    "position": ("position", "position"),
+    "velocity": ("velocity", "velocity"),
+    "attitude": ("attitude", "euler"),
+    "rotation": ("rotation", "quaternion"),
+    "rates": ("copy", "rates"),
 }
-VECTORS = {kind: source for kind, source in KINDS.values() if kind != COPY}  # of the state
+VECTORS = {kind: source for kind, source in KINDS.values() if kind != "copy"}  # of the state
 TRACK = np.dtype([  # of a gate, int64; positions and sizes in the state's position units
     ("position", "<i8", 3),
     ("axes", "<i8", 9),  # Q30: directions through, to the right and down
@@ -77,7 +77,7 @@ class Input:
     """A field of the observation: the inputs from ``index`` on."""
 
     name: str
-    kind: str
+    kind: Kind
     index: int
     sources: tuple[int, ...]  # numbers of the state, or of the gate's constants
     rescales: tuple[Rescale | None, ...] = ()  # of scaled inputs; None: the policy sees zero
@@ -287,19 +287,19 @@ def _state_fields(
 
 def _inputs(race: RaceTables, spans: dict[str, Spans]) -> tuple[Input, ...]:
     """How each field of the layout is computed."""
-    layout, starts, inputs, constants = race.box.layout, race.starts, [], 0
+    layout, starts, inputs, constants = race.box.layout, race.starts, list[Input](), 0
     for field in layout.fields:
         (name, lag), index = split_name(field.name), layout.slice(field.name).start
         if name in KINDS:
             kind, source = KINDS[name]
-            size = 4 if kind == ROTATION else field.size
+            size = 4 if kind == "rotation" else field.size
             numbers = [starts[source] + i for i in range(size)]
         elif name in spans:
             axes = ["xyz".index(part[-1]) for part in DISTURBANCES.get(name, ())]
             first = starts[LAST_COMMAND if name == LAST_ACTION else name]
-            kind, numbers = SCALED, [first + i for i in axes or range(field.size)]
+            kind, numbers = "scaled", [first + i for i in axes or range(field.size)]
         else:
-            kind, numbers = GATE, list(range(constants, constants + field.size))
+            kind, numbers = "gate", list(range(constants, constants + field.size))
             constants += field.size
         rescales = tuple(rescale for _, rescale in spans.get(name, ()))
         inputs.append(Input(field.name, kind, index, tuple(numbers), rescales, lag))

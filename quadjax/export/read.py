@@ -16,8 +16,6 @@ from quadjax.export.integers import DIGEST_START, Rescale
 from quadjax.export.network import FixedLayer, FixedNetwork
 from quadjax.export.noise import NoiseTables
 from quadjax.export.race_tables import (
-    ROTATION,
-    SCALED,
     TRACK,
     VECTORS,
     Input,
@@ -301,7 +299,7 @@ def _box(parts: np.ndarray, vehicle: str) -> InputBox:
         exponent[name] = int(part["exponent"])
         unit, frame = units.get(split_name(name)[0], ("", ""))
         fields.append(Field(name, int(part["size"]), unit, frame, 2.0 ** exponent[name]))
-        scaled += [split_name(name)[0]] if KINDS[kind - 1] == SCALED else []
+        scaled += [split_name(name)[0]] if KINDS[kind - 1] == "scaled" else []
     return InputBox(Layout(tuple(fields)), exponent, tuple(scaled))
 
 
@@ -313,8 +311,8 @@ def _input(part: np.ndarray, numbers: np.ndarray) -> Input:
         raise InputError(f"{size} inputs from number {index} on, of {len(numbers)}")
     sources = [row[0] for row in rows]
     if kind in VECTORS:
-        sources = [sources[0] + i for i in range(4 if kind == ROTATION else 3)]
-    scales = [Rescale(*row[1:]) for row in rows] if kind == SCALED else []
+        sources = [sources[0] + i for i in range(4 if kind == "rotation" else 3)]
+    scales = [Rescale(*row[1:]) for row in rows] if kind == "scaled" else []
     rescales = tuple(None if own == ZERO else own for own in scales)
     name = _string(part["name"])
     return Input(name, kind, index, tuple(sources), rescales, int(part["lag"]))

@@ -1,56 +1,20 @@
-"""What an export renders: the policy as a table in C, its sizes, and texts from Jinja templates."""
+"""The headers of an export: the policy as a table in C, its sizes, what the glue knows."""
 
-import functools
-import re
 import textwrap
 from collections.abc import Iterable
 
 import jax
-import jinja2
 import numpy as np
 
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import FIELDS
-from quadjax.export.targets import RUNTIME, observed_fields
+from quadjax.export.suitability import observed_fields
+from quadjax.export.targets import RUNTIME
 from quadjax.export.words import FixedPolicy
 from quadjax.race import episode
 
 WIDTH, INDENT = 100, "    "
 SMALLEST_WIDTH = 16  # of the runtime's buffers: the estimator's inputs
-
-
-@functools.cache
-def environment() -> jinja2.Environment:
-    """The templates of this package; fields are written ``${name}``, statements ``{% .. %}``."""
-    templates = jinja2.Environment(
-        loader=jinja2.PackageLoader("quadjax.export", "templates"),
-        variable_start_string="${",
-        variable_end_string="}",
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        undefined=jinja2.StrictUndefined,
-        autoescape=False,
-    )
-    templates.filters |= {"number": "{:g}".format, "short": "{:.3g}".format}
-    return templates
-
-
-def render(template: str, values: dict[str, object]) -> str:
-    """A template of this package as text, without trailing blanks or repeated blank lines.
-
-    Raises:
-        jinja2.UndefinedError: the template has a field without a value.
-    """
-    text = environment().get_template(template).render(values)
-    lines = [line.rstrip() for line in text.splitlines()]
-    return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)) + "\n"
-
-
-def identifier(text: str) -> str:
-    """Text as a lower-case C identifier."""
-    name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_") or "policy"
-    return name if name[0].isalpha() else f"policy_{name}"
 
 
 def comment(lines: Iterable[str]) -> str:

@@ -8,6 +8,7 @@ observation, track, weights, estimators, self-tests, and a CRC-32 of all of it.
 import dataclasses
 import zlib
 from collections.abc import Iterator
+from typing import get_args
 
 import numpy as np
 
@@ -16,34 +17,24 @@ from quadjax.export.battery import MOTORS, BatteryTables
 from quadjax.export.cases import HISTORY_ROUNDS, MEASUREMENTS, SAMPLES, Cases
 from quadjax.export.disturbances import CHANNELS, FINE_BITS, MONOMIALS, EstimatorTables
 from quadjax.export.integers import WORD, Rescale
+from quadjax.export.names import LONGEST_NAME
 from quadjax.export.network import FixedLayer, FixedNetwork
 from quadjax.export.noise import NoiseTables
 from quadjax.export.race_tables import (
-    ATTITUDE,
-    COPY,
-    GATE,
-    POSITION,
     QUATERNION_EXPONENT,
-    ROTATION,
-    SCALED,
     TRACK,
-    VELOCITY,
     YAW_EXPONENT,
+    Kind,
     RaceTables,
 )
+from quadjax.export.targets import COMMAND_KINDS, RATES, STATE_FIELDS
 
 MAGIC, VERSION, COMMANDS = 0x00504A51, 2, 4
 SAMPLED_VERSION = 3  # of words with the section ``noise``
-NAME_BYTES, FIELD_BYTES = 32, 24
+NAME_BYTES, FIELD_BYTES = LONGEST_NAME + 1, 24
 BLOCK = 4  # rows of a block of weights
 TURN = 8  # columns, and rows of a hidden layer, are padded to a multiple of this
-KINDS = (POSITION, VELOCITY, ATTITUDE, ROTATION, COPY, SCALED, GATE)  # numbered from 1 on
-STATE_FIELDS = (  # numbered from 1 on
-    *("position", "velocity", "euler", "quaternion", "rates", "rotor_speed"),
-    *("moment_ext", "force_ext", "last_command", "rpm", "thrust", "highest_rpm"),
-)
-COMMAND_KINDS = {"rpm": 1, "motor_command": 2}  # by the name of the commands
-OTHER_COMMANDS = 3
+KINDS = get_args(Kind)  # numbered from 1 on
 LARGEST_SHIFT, LARGEST_EXPONENT = 60, 30
 ZERO = Rescale(0, 0, 1)  # of an input that is no scaled number, or always zero
 FACTORS = ("low_pass", "lead", "gain")  # of a battery
@@ -219,7 +210,7 @@ def _parts(policy: FixedPolicy) -> Iterator[np.ndarray]:
         gates=race.gates,
         constants=race.next_gate.shape[1],
         world_box=race.world_box,
-        kind=COMMAND_KINDS.get(network.model.commands[0].name, OTHER_COMMANDS),
+        kind=COMMAND_KINDS.get(network.model.commands[0].name, RATES),
         output_shift=network.output_shift,
         fraction_bits=network.fraction_bits,
         period_ns=round(policy.time_step * 1e9),
@@ -273,7 +264,7 @@ def _observation(race: RaceTables) -> Iterator[np.ndarray]:
     )
     for part, size in zip(parts, sizes, strict=True):
         # Of a rotation, each input has the first number of its source.
-        sources = part.sources if part.kind != ROTATION else part.sources[:1] * size
+        sources = part.sources if part.kind != "rotation" else part.sources[:1] * size
         rescales = [own or ZERO for own in part.rescales] or [ZERO] * size
         columns = {
             name: [getattr(own, name) for own in rescales] for name in ("middle", "factor", "shift")

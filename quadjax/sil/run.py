@@ -20,7 +20,13 @@ from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import provenance
 from quadjax.evaluation.rows import Row, concatenate
 from quadjax.evaluation.table import counted, lap_table
-from quadjax.export.folder import Inputs, read_inputs
+from quadjax.export.conversion import Converted, Options
+from quadjax.export.convert import convert_file
+from quadjax.export.flights import Rollouts
+from quadjax.export.folder import read_folder
+from quadjax.export.names import symbol_name
+from quadjax.export.targets import DEFAULT_TARGET
+from quadjax.export.verify.build import Sources
 from quadjax.flights.files import save
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import plan_race, race_config
@@ -38,20 +44,19 @@ from quadjax.sil.peer import (
     listening,
     running,
 )
-from quadjax.sil.source import (
-    build_autopilot,
-    check_byte_order,
-    header_text,
-    label_of,
-    words_of,
-)
+from quadjax.sil.source import at_rate, build, check_byte_order, header_text, label_of
 from quadjax.sil.worlds import World, command_kind, plant_world, simulator_world
 from quadjax.training.build import untrained_policy
 
 ON_PLANT = ("motor", "rate")  # vehicle models that the stand-in plant has
 STATES_FILE = "states.npz"
 FILES = (STATES_FILE, "sil.json", "table.txt", "message.h", "flight.html")
-MEANINGS = {  # of counts of the exported C
+NOTHING = Rollouts(*(np.zeros((0, 1)),) * 3)
+MEANINGS = {  # of counts
+    "held steps": " (no command came in time: the drone held the last one)",
+    "late steps": " (the autopilot had not answered by the end of the period; --speed is too high, "
+    "or the autopilot too slow)",
+    "slow steps": " (began more than a period late: this machine is too slow for --speed)",
     "autopilot: nan steps": " (a number of the state was NaN: the C takes zero)",
     "autopilot: clipped steps": " (a number of the state was outside the range that NAME.h "
     "declares: the C takes the end of the range)",
@@ -65,7 +70,8 @@ class Setting:
     """What flies, on what, and how.
 
     Attributes:
-        source: folder of ``quadjax export``; without a process of ours also a config.
+        source: folder of ``quadjax export``, or a policy file; without a process of ours a folder
+            or a config.
         plant: the stand-in plant; None: the simulator of the race.
         listen: address at which a user's autopilot connects; None: the exported C is started.
         laps: of a race; ``evaluate.laps`` of the config if not given.
@@ -73,7 +79,8 @@ class Setting:
         seed: of drones and faults; a race has the seed plus its number.
         timing: lock-step, or a speed.
         faults: of the link.
-        race: config of an exported folder's race, named by the user; the folder's if not given.
+        race: config of the race, named by the user; that of the folder or policy if not given.
+        target: processor and autopilot for which a policy file is converted.
     """
 
     source: Path
@@ -85,6 +92,7 @@ class Setting:
     timing: Timing = Timing()
     faults: Faults = Faults()
     race: Path | str | None = None
+    target: str = DEFAULT_TARGET
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,17 +197,29 @@ def fly_all(
     """
     check_byte_order()
     enable_compilation_cache()
-    inputs = None
+    with tempfile.TemporaryDirectory() as work:
+        return _fly_all(setting, Path(work), stop, report)
+
+
+def _fly_all(
+    setting: Setting, work: Path, stop: threading.Event, report: Callable[[str], None]
+) -> Flown:
+    flying: tuple[Converted, Sources] | None = None
     if setting.source.is_dir() or setting.listen is None:
-        inputs = read_inputs(setting.source, setting.race)
-        config, policy = inputs.config, inputs.policy
+        converted = _converted(setting)
+        config, policy = converted.own.config, converted.policy
+        if setting.listen is None:
+            files = {name: data for name, data in converted.files().items() if "/" in name}
+            flying = converted, Sources.write(converted.target, files, work, converted.fixed)
+            plant = setting.plant and at_rate(setting.plant, flying[1])
+            setting = dataclasses.replace(setting, plant=plant)
     else:  # the race of a config, with an untrained policy
         config = load_config(setting.source)
         policy = untrained_policy(config)
         config = race_config(config, policy) if setting.plant else config
     world = make_world(config, policy, setting.plant, setting.laps or config.evaluate.laps)
     races: list[Race] = []
-    with _autopilot(setting, inputs, world, stop, report) as (peer, autopilot, sources):
+    with _autopilot(setting, flying, world, stop, report) as (peer, autopilot, names):
         for run in range(setting.runs):
             text = f"run {run + 1} of {setting.runs}"
             report(text)
@@ -207,20 +227,28 @@ def fly_all(
             def say(seconds: float, text: str = text) -> None:
                 report(f"{text}: {seconds:.0f} s flown")
 
-            options = (setting.faults, setting.timing, setting.seed, run, stop, say)
-            races.append(fly(world, peer, *options, config.track.gates))
+            how = (setting.faults, setting.timing, setting.seed, run, stop, say)
+            races.append(fly(world, peer, *how, config.track.gates))
             if stop.is_set() or races[-1].gone:
                 break
     if stop.is_set() and not len(races[0].flight.time):
         raise KeyboardInterrupt
     drone = f"{world.name}, {1.0 / world.step:g} Hz"
-    return Flown(setting, config, drone, autopilot, sources, races)
+    return Flown(setting, config, drone, autopilot, names, races)
+
+
+def _converted(setting: Setting) -> Converted:
+    """The policy of a setting as C: a folder's, or a file's without simulated flights."""
+    if setting.source.is_dir():
+        return read_folder(setting.source, setting.race)
+    options = Options(symbol_name(None, setting.source.name), target=setting.target)
+    return convert_file(setting.source, options, setting.race, rollouts=NOTHING)
 
 
 @contextlib.contextmanager
 def _autopilot(
     setting: Setting,
-    inputs: Inputs | None,
+    flying: tuple[Converted, Sources] | None,
     world: World,
     stop: threading.Event,
     report: Callable[[str], None],
@@ -235,17 +263,16 @@ def _autopilot(
     with contextlib.ExitStack() as stack:
         own = stack.enter_context(listening(*(setting.listen or (ADDRESS, 0))))
         host, port = own.getsockname()
-        if inputs is None or setting.listen is not None:
+        if flying is None:
             compile_drone()
             report(f"waiting for an autopilot at {host}:{port}")
             peer = stack.enter_context(greeted(own, kind, CONNECT_SECONDS, stop))
             yield peer, "your autopilot", ""
             return
-        work = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         report("building the C")
-        program, sources = build_autopilot(setting.source, inputs, 1.0 / world.step, work)
-        label = label_of(program, words_of(setting.source, inputs))
+        program, names = build(*flying, 1.0 / world.step)
+        label = label_of(program, flying[0].file)
         compile_drone()
         stack.enter_context(running(program, port))
         peer = stack.enter_context(greeted(own, kind, START_SECONDS, stop))
-        yield peer, label, sources
+        yield peer, label, names

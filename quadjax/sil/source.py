@@ -1,81 +1,90 @@
-"""The exported C of a folder behind the messages, compiled for this machine."""
+"""The exported C of a policy behind the messages, compiled for this machine."""
 
 import subprocess
 import sys
 from pathlib import Path
 
 from quadjax.core.errors import InputError
-from quadjax.core.files import check_file
-from quadjax.export.folder import Inputs
-from quadjax.export.read import read_qjp
-from quadjax.export.render import render, words_table
-from quadjax.export.targets import RUNTIME, pilot_options, sources_of, target_of
+from quadjax.export.conversion import Converted
+from quadjax.export.verify.autopilot import build_autopilot
+from quadjax.export.verify.build import HOST, Sources
 from quadjax.export.verify.result import Failed, Skipped
-from quadjax.export.verify.toolchain import host
+from quadjax.plant.config import PlantConfig
 from quadjax.sil.message import DTYPES, HEADER, HEADER_FIELDS, PAYLOADS, VERSION, Fields, Kind
 from quadjax.sil.worlds import command_kind
 
+C_TYPES = {"S1": "char", "<u2": "uint16_t", "<u4": "uint32_t", "<f4": "float", "<f8": "double"}
+FUNCTIONS = [  # of sil.c
+    "",
+    "const char *sil_load(void);       /* 0, or why the policy cannot fly */",
+    "uint32_t sil_own_estimator(void); /* whether the policy's estimator of disturbances runs */",
+    "void sil_begin(void);             /* a race begins with the next state */",
+    "void sil_step(const sil_state *from, sil_command *to);",
+]
+SAME_LOOP = 0.03  # by which the rates of a plant's and an autopilot's loop may differ
 
-def build_autopilot(
-    folder: Path, inputs: Inputs, rate: float, work: Path, shared: bool = False
+
+def at_rate(plant: PlantConfig, sources: Sources) -> PlantConfig:
+    """The plant with the loop of an autopilot, where that is about as fast.
+
+    The estimators and filters of the C are for the rate of its calls.
+    """
+    ratio = 1e9 / sources.call_ns / plant.control_rate
+    if abs(ratio - 1.0) > SAME_LOOP or ratio == 1.0:
+        return plant
+    rates = {name: ratio * getattr(plant, name) for name in ("sample_rate", "control_rate")}
+    return plant.replace(**rates)
+
+
+def build(
+    converted: Converted, sources: Sources, rate: float, shared: bool = False
 ) -> tuple[Path, str]:
-    """Compile the C of an exported folder with its pilot, and what its autopilot measures.
+    """Compile the C that the target flies: with its glue in a stand-in of its firmware.
 
-    External moment and force are those of the drone, unless the policy's own estimator runs, which
-    was exported for the rate of the messages. Multiplications are not fused, so that every machine
-    computes the same.
+    The glue is called at its own rate, or the nearest that has a whole number of calls for every
+    message or of messages for every call. Firmware without glue calls the pilot at every message.
 
     Args:
-        folder: of ``quadjax export``.
-        inputs: of that folder.
+        converted: the policy.
+        sources: the C, as the converter writes it.
         rate: of the messages, Hz.
-        work: a folder for what is built.
         shared: build a library with ``sil_begin`` and ``sil_step``, without the socket.
 
     Returns:
-        The program or library, and the names of the files that fly, with the glue that does not.
+        The program or library, and the names of the files that fly.
 
     Raises:
-        InputError: a C file is missing, words that are damaged, no compiler, or C that does not
-            compile.
+        InputError: no compiler, or C that does not compile.
     """
-    model, include = inputs.own.choices.model, work / "include"
-    target = target_of(inputs.options.target, model.name)
-    files, words = [folder / file for file in sources_of(target)], words_of(folder, inputs)
-    for path in files:
-        check_file(path)
-    read_qjp(words)
-    include.mkdir()
-    (include / "quadjax_words.h").write_text(words_table("quadjax_words", words.read_bytes()))
-    (include / "message.h").write_text(header_text(functions=True))
-    options = pilot_options(target, round(1e9 / rate), disturbances=True)
-    options += [f"-DCOMMAND_KIND={int(command_kind(model))}", "-ffp-contract=off"]
-    options += [f"-I{folder / target.folder}", f"-I{include}"]
+    target, folder = sources.target, sources.folder
+    ratio = 1e9 / sources.call_ns / rate if target.glue else 1.0
+    calls = round(ratio) if ratio >= 1.0 else 1.0 / round(1.0 / ratio)
+    call_ns = round(1e9 / (rate * calls))
+    if not target.glue:
+        sources = Sources(target, folder, call_ns)
+    (folder / "stand_in" / "message.h").write_text(header_text(functions=True))
     names = ("sil.c",) if shared else ("sil.c", "process.c")
-    output = work / ("autopilot.so" if shared else "autopilot")
-    options += ["-shared", "-fPIC"] if shared else []
+    kind = int(command_kind(converted.own.choices.model))
+    options = [f"-DFIRMWARE_CALL_NS={call_ns}U", f"-DCOMMAND_KIND={kind}"]
+    output = folder / ("autopilot.so" if shared else "autopilot")
     try:
-        host().build([*files, *(RUNTIME / "host" / name for name in names)], output, options)
+        build_autopilot(sources, output, [HOST / name for name in names], options)
     except (Skipped, Failed) as error:
-        raise InputError(f"{folder}: the C cannot be compiled: {error}") from None
-    text = f"{words.name}, {target.folder}/{{{','.join(path.name for path in files)}}}"
-    return output, text + (f"; without the glue of {target.autopilot}" if target.glue else "")
+        raise InputError(f"the C cannot be compiled: {error}") from None
+    flying = ",".join(path.name for path in sources.flying)
+    text = f"{converted.options.name}.qjp, {target.folder}/{{{flying}}}"
+    return output, text + (f", in the glue of {target.autopilot}" if target.glue else "")
 
 
-def words_of(folder: Path, inputs: Inputs) -> Path:
-    """The file of the policy's words in an exported folder."""
-    return folder / f"{inputs.options.name}.qjp"
-
-
-def label_of(program: Path, words: Path) -> str:
+def label_of(program: Path, name: str) -> str:
     """The name of an autopilot that is built, for the table.
 
     Raises:
-        InputError: its pilot refuses the words of the policy.
+        InputError: its glue or its pilot refuses the policy.
     """
     done = subprocess.run([str(program)], capture_output=True, text=True)
     if done.stdout.strip():
-        raise InputError(f"{words}: the policy cannot fly here: {done.stdout.strip()}")
+        raise InputError(f"{name}: the policy cannot fly here: {done.stdout.strip()}")
     return "exported C, its own estimator" if done.returncode else "exported C"
 
 
@@ -85,12 +94,28 @@ def header_text(functions: bool = False) -> str:
     Args:
         functions: also declare those of the exported C behind the messages.
     """
-    structs: list[tuple[str, Fields]] = [("sil_header", HEADER_FIELDS)]
-    structs += [(f"sil_{kind.name.lower()}", fields) for kind, fields in PAYLOADS.items() if fields]
-    sizes = {f"sil_{kind.name.lower()}": DTYPES[kind].itemsize for kind in Kind}
-    sizes["sil_header"] = HEADER.itemsize
-    values = {"version": VERSION, "structs": structs, "sizes": sizes, "functions": functions}
-    return render("message.h", values)
+    structs: list[tuple[str, Fields]] = [("header", HEADER_FIELDS)]
+    structs += [(kind.name.lower(), fields) for kind, fields in PAYLOADS.items() if fields]
+    sizes = {kind.name.lower(): DTYPES[kind].itemsize for kind in Kind} | {
+        "header": HEADER.itemsize
+    }
+    kinds = ", ".join(f"SIL_{kind.name} = {int(kind)}" for kind in Kind)
+    lines = [f"enum {{ SIL_VERSION = {VERSION} }};", f"enum {{ {kinds} }};"]
+    for name, fields in structs:
+        size = sizes[name]
+        lines += ["", f"/* {size} bytes, little-endian, without padding. */", "typedef struct {"]
+        lines += ["  sil_header header;"] * (name != "header")
+        for field, kind, count, note in fields:
+            array = f"[{count}]" if count > 1 else ""
+            lines.append(f"  {C_TYPES[kind]} {field}{array}; /* {note} */")
+        check = f"sizeof(sil_{name}) == {size} ? 1 : -1"
+        lines += [f"}} sil_{name};", f"typedef char sil_{name}_has_its_size[{check}];"]
+    lines += FUNCTIONS if functions else []
+    return (
+        f"/* Messages of format quadjax-sil/{VERSION}: see the reference, Software-in-the-loop "
+        "messages. */\n#ifndef SIL_MESSAGE_H\n#define SIL_MESSAGE_H\n\n#include <stdint.h>\n\n"
+        + "\n".join([*lines, "", "#endif", ""])
+    )
 
 
 def check_byte_order() -> None:

@@ -1,6 +1,7 @@
 """Made-up policies, and what the tests of the export package share."""
 
 import dataclasses
+import functools
 import shutil
 from pathlib import Path
 
@@ -14,11 +15,13 @@ from quadjax.core.resources import CONFIGS
 from quadjax.export import flights, race_source
 from quadjax.export.battery import make_battery
 from quadjax.export.cases import make_cases
+from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.convert import export_c
 from quadjax.export.network import FixedNetwork, convert
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import make_tables, state_sizes
 from quadjax.export.ranges import track_ranges
+from quadjax.export.states import observe
 from quadjax.export.targets import TARGETS
 from quadjax.export.verify.build import Library, Sources
 from quadjax.export.words import FixedPolicy, pack
@@ -256,3 +259,74 @@ def named_network(name: str) -> tuple[Policy, FixedNetwork]:
     """One of ``POLICIES``, converted."""
     policy = made_policy(**POLICIES[name])
     return policy, convert(policy)
+
+
+MORE = ("observation.gates_ahead=2", "observation.last_action=true")
+AXES = "observation.attitude=rotation"
+FIVE_INCH = ("vehicle=5inch", "observation.actuator_range=[0, 3000]")
+HISTORY = (
+    "observation.history={fields: [position, %s, rates, %s, last_action], steps: 2, every: %d}"
+)
+RACES = {  # preset, overrides, size of the observation
+    "e2e with a history": ("e2e +disturbance", (HISTORY % ("velocity, attitude", "rpm", 9),), 64),
+    "racing, axes and more": ("e2e", (*FIVE_INCH, AXES, *MORE), 31),
+    "e2e, axes and more": ("e2e +disturbance", (AXES, *MORE, "battery.charge=[0.1, 1.0]"), 36),
+    "e2e with quaternions": ("e2e +disturbance", ("vehicle.quaternion=true",), 24),
+    "indi and more": ("indi", ("observation.gates_ahead=3", MORE[1]), 29),
+    "racing with a history": (
+        "e2e",
+        (*FIVE_INCH, AXES, MORE[1], HISTORY % ("rotation", "rotor_speed", 2)),
+        27 + 40,
+    ),
+    "published racing": ("e2e", FIVE_INCH, 20),
+}
+
+
+@functools.cache
+def made(name):
+    """An untrained policy of a race, and the race."""
+    preset, overrides, size = RACES[name]
+    config = load_config(preset, [*overrides, "network.hidden=[8]", "track.generate.seed=1"])
+    policy = untrained(config)
+    assert policy.layout.size == size
+    layers = [(np.asarray(k) * 0.3, np.asarray(b) + 0.01) for k, b in policy.layers]
+    return dataclasses.replace(policy, layers=tuple(layers)), race_source.own_race(
+        config, policy, "test"
+    )
+
+
+def converted_in(folder, policy, own, target, rate=500.0, **more):
+    """A policy converted, with its C in a folder, without the simulated flights of an export."""
+    folder.mkdir(exist_ok=True)
+    policy.save(folder / "policy.npz")
+    rng = np.random.default_rng(0)
+    states = random_states(rng, 20, own, policy.command_low, policy.command_high)
+    targets = np.arange(20) % len(own.params.track.yaw)
+    rows = flights.Rollouts(observe(own, states, targets), states, targets)
+    options = Options("made", {"position": 32.0}, sample_rate=rate, target=target, **more)
+    path = folder / "policy.npz"
+    converted = convert_policy(policy, own, options, path.name, path, rows)
+    for name, data in converted.files().items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    return converted
+
+
+def without_rotors():
+    """An untrained policy that observes its last action in place of rotor speeds."""
+    overrides = ["vehicle=5inch", "observation.actuators=false", "observation.last_action=true"]
+    config = load_config("e2e", [*overrides, "network.hidden=[8]", "track.generate.seed=1"])
+    policy = untrained(config)
+    layers = tuple((np.asarray(k) * 0.3, np.asarray(b) + 0.01) for k, b in policy.layers)
+    policy = dataclasses.replace(policy, layers=layers)
+    return policy, race_source.own_race(config, policy, "test")
+
+
+@functools.cache
+def fixed(name):
+    """Race, policy as integers, and 200 states and targets."""
+    policy, own = made(name)
+    rng = np.random.default_rng(0)
+    states = random_states(rng, 200, own, policy.command_low, policy.command_high)
+    targets = rng.integers(0, len(own.params.track.yaw), 200)
+    return own, fixed_policy(policy, own, states, targets), states, targets

@@ -2,9 +2,11 @@
 
 import dataclasses
 import errno
+import functools
 import json
 import re
 import shutil
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +26,7 @@ from quadjax.export.read import read_qjp, unpack
 from quadjax.export.verify import checks, run, toolchain
 from quadjax.export.verify.build import Library
 from quadjax.export.verify.checks import CHECKS
-from quadjax.export.verify.result import FAILED, PASSED, SKIPPED
+from quadjax.export.verify.result import FAILED, PASSED, SKIPPED, Result
 from quadjax.export.words import pack
 from quadjax.policy.file import Policy
 from tests.commands import run as command
@@ -168,7 +170,7 @@ def test_a_folder_holds_one_export(tmp_path, no_flights):
     for stale in ("first_estimator.c", "first_estimator.h", "residual.npz", "rollouts.npz"):
         (out / stale).write_text("of a motor-level policy that was exported before")
     for name, message in (
-        ("first", "c holds results of export already: replace it .overwrite=True"),
+        ("first", "c holds an export already: replace it .overwrite=True. or .*folder .--output"),
         ("second", "holds an export named 'first'"),
     ):
         with pytest.raises(InputError, match=message):
@@ -239,6 +241,51 @@ def test_a_full_disk_is_one_line_and_leaves_the_earlier_export(tmp_path, monkeyp
     with pytest.raises(InputError):
         export_c(made_policy(8, gain=2.0), out, ranges=WIDE, allow_unfinished=True, overwrite=True)
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize("during", ["writing", "replacing"])
+def test_an_interrupted_export_is_whole_or_nothing(during, tmp_path, no_flights, monkeypatch):
+    policy, out = made_policy(8), tmp_path / "c"
+    options = {"ranges": WIDE, "allow_unfinished": True}
+    write, move, count = convert.write_bytes, Path.replace, iter(range(3))
+
+    def interrupted(function, *arguments):
+        if next(count, None) is None:
+            signal.raise_signal(signal.SIGINT)
+        return function(*arguments)
+
+    with monkeypatch.context() as patch:
+        if during == "writing":
+            patch.setattr(convert, "write_bytes", functools.partial(interrupted, write))
+        else:
+            patch.setattr(Path, "replace", lambda *paths: interrupted(move, *paths))
+        with pytest.raises(KeyboardInterrupt):
+            export_c(policy, out, name="first", **options)
+    if during == "replacing":
+        assert read_folder(out).options.name == "first"
+    else:
+        assert not out.exists()
+
+
+def test_ctrl_c_on_the_emulator_ends_the_verification(exported, monkeypatch):
+    machine = pytest.importorskip("quadjax.export.verify.machine")
+    if not toolchain.has_module("ziglang"):
+        pytest.skip("no compiler for ARM")
+    block = machine.Machine._block
+
+    def interrupted(self, *place):
+        signal.raise_signal(signal.SIGINT)
+        return block(self, *place)
+
+    monkeypatch.setattr(machine.Machine, "_block", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run.verify(exported, COUNT, only=("processor",))
+
+
+def test_a_verification_ends_with_the_next_command(exported, monkeypatch, capsys):
+    monkeypatch.setattr(run, "verify", lambda *_, **options: [Result("files", PASSED, "")])
+    assert command("verify", exported) == 0
+    assert capsys.readouterr().out.endswith(f"\nNext: quadjax sil {exported}\n")
 
 
 def test_folders_of_other_kinds_are_refused(exported, tmp_path):

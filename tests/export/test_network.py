@@ -15,12 +15,12 @@ from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.export import emulator
 from quadjax.export.cases import check_vectors, hostile_vectors
-from quadjax.export.conversion import float64_commands
 from quadjax.export.emulator import fixed_point_actor, fixed_point_fly
 from quadjax.export.integers import ONE, enable_x64
 from quadjax.export.network import LARGEST_HIDDEN, convert
 from quadjax.export.proof import error_bound, prove
 from quadjax.export.ranges import declare, parse_overrides
+from quadjax.export.report import float64_commands
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race.layout import Field, Layout

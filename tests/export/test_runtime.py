@@ -23,14 +23,14 @@ from quadjax.export.verify.toolchain import WARNINGS, arm_none_eabi, bebop, host
 from quadjax.export.words import STRUCTS, layout_header, pack
 from tests.export.support import (
     POLICIES,
+    fixed,
     fixed_policy,
     library,
     made_policy,
     made_residual,
     need,
 )
-from tests.export.test_layouts import fixed
-from tests.export.test_layouts import made as layout
+from tests.export.support import made as layout
 from tests.export.test_race_export import own_race
 
 FILES = sorted(path for path in RUNTIME.glob("qj_*.c") if path.name != "qj_angles.c")

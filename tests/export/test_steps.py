@@ -9,7 +9,7 @@ from quadjax.export.targets import RUNTIME, calls_per_step
 from quadjax.export.verify.build import VEHICLE, load_library
 from quadjax.export.verify.toolchain import host
 from quadjax.export.words import STATE_FIELDS, pack
-from tests.export.test_layouts import fixed
+from tests.export.support import fixed
 from tests.export.test_runtime import FILES, at_of, edited, everything
 
 PROBE = """

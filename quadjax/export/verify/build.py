@@ -3,6 +3,7 @@
 import ctypes
 import dataclasses
 import functools
+import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.core.files import write_bytes
-from quadjax.export.render import sizes_header
-from quadjax.export.targets import RUNTIME, Target, pilot_options, runtime_files, sources_of
+from quadjax.export.render import sizes_header, words_table
+from quadjax.export.targets import RUNTIME, SENSORS, STATE_FIELDS, Target, runtime_files
 from quadjax.export.verify.result import Skipped, require
 from quadjax.export.verify.toolchain import (
     FREESTANDING,
@@ -23,9 +24,12 @@ from quadjax.export.verify.toolchain import (
     zig_arm,
     zig_thumb,
 )
-from quadjax.export.words import COMMANDS, FixedPolicy
+from quadjax.export.words import COMMANDS, FixedPolicy, pack
+from quadjax.race.observations import DISTURBANCES
 
 HOST = RUNTIME / "host"
+FILE = "policy.qjp"  # the words, for glue that reads a file
+SYSTEM = ("stdbool.h", "stdint.h", "fcntl.h", "math.h", "stdio.h", "string.h", "unistd.h")
 VEHICLE = np.dtype(  # qj_vehicle
     [("time_us", "<u4")]
     + [(name, "<f4", size) for name, size in (
@@ -65,17 +69,17 @@ BUILDS = {
 
 @dataclasses.dataclass(frozen=True)
 class Sources:
-    """The C of a target in a folder, and what it is compiled with."""
+    """The C that a target flies, in a folder, and how it is compiled."""
 
     target: Target
     folder: Path  # a copy of the C, as the converter writes it
-    call_ns: int  # between two calls of the pilot
+    call_ns: int  # between two calls of the pilot, or of the glue
 
     @classmethod
     def write(
         cls, target: Target, files: dict[str, bytes] | None, work: Path, policy: FixedPolicy
     ) -> "Sources":
-        """Write the C; without ``files`` the runtime with its largest sizes.
+        """Write the C; without ``files`` the runtime with its largest sizes, and no glue.
 
         The pilot is called at the rate of the estimators; without them at the autopilot's, or once
         a step.
@@ -84,7 +88,9 @@ class Sources:
             texts = {name: text.encode() for name, text in runtime_files(target).items()}
             sizes = sizes_header(policy, any_policy=True).encode()
             files = texts | {f"{target.folder}/qj_sizes.h": sizes}
-        for name, data in files.items():
+        words = pack(policy)
+        table = words_table("quadjax_words", words).encode()
+        for name, data in {**files, FILE: words, "stand_in/quadjax_words.h": table}.items():
             write_bytes(work / name, data)
         rates = [t.sample_rate for t in (policy.battery, policy.estimator) if t is not None]
         rate = rates[0] if rates else target.calls or 1.0 / policy.time_step
@@ -97,13 +103,42 @@ class Sources:
 
     @property
     def flying(self) -> list[Path]:
-        """The C that flies, without the autopilot's glue."""
-        return [self.folder / name for name in sources_of(self.target)]
+        """The C of the runtime; that of angles is for glue alone."""
+        return [path for path in sorted(self.include.glob("qj_*.c")) if path.name != "qj_angles.c"]
 
     @property
     def options(self) -> list[str]:
-        """Of the compiler."""
-        return [f"-I{self.include}", *pilot_options(self.target, self.call_ns, disturbances=True)]
+        """Of the compiler: what the target's autopilot gives and takes, where no glue says it."""
+        names = {*self.target.gives, *DISTURBANCES}
+        values = {
+            "GIVES": sum(
+                1 << (16 if name == SENSORS else 1 + STATE_FIELDS.index(name)) for name in names
+            ),
+            "KINDS": sum(1 << kind for kind in self.target.kinds),
+            "CALL_NS": self.call_ns,
+            "EVERY_CALL": int(self.target.every_call),
+        }
+        return [f"-I{self.include}", *(f"-DINTERFACE_{k}={v}U" for k, v in values.items())]
+
+    def autopilot(self) -> tuple[list[Path], list[str]]:
+        """The C of the glue in a stand-in of its firmware, and its options.
+
+        Headers of the firmware are empty: the stand-in has what they declare. Without glue, the
+        stand-in calls the pilot.
+        """
+        target, headers = self.target, self.folder / "stand_in"
+        (firmware,) = HOST.glob(f"{target.glue or 'pilot'}.c*")
+        files = [firmware, *self.flying, self.include / "qj_angles.c"]
+        if target.glue == "indiflight":  # its build has two files, one of which is the glue
+            files = [firmware, self.include / "neural_network.c"]
+        for path in self.include.glob("*.[ch]*"):
+            for name in re.findall(r"#include [<\"](.+)[>\"]", path.read_text("utf-8")):
+                if name not in SYSTEM and not (self.include / name).exists():
+                    own = (self.include / Path(name).name).exists()
+                    text = f"#include <{Path(name).name}>\n" if own else ""
+                    write_bytes(headers / name, text.encode())
+        options = [f"-I{headers}", f"-I{HOST}", *self.options, *target.flags]
+        return files, [*options, f'-DQUADJAX_POLICY_FILE="{self.folder / FILE}"']
 
 
 def load_library(
@@ -132,7 +167,7 @@ class Library:
         library = load_library(host(), files, work / "host.so", sources.options)
         self._library = library
         self._pilot = np.zeros(library.harness_size() // 8 + 1, np.int64)
-        error = library.harness_load(*_pointers(self._pilot, self._words), len(words), 0)
+        error = library.harness_load(*pointers(self._pilot, self._words), len(words), 0)
         require(error == 0, f"the loader or the pilot refuses the words: error {error}")
 
     def _rows(
@@ -170,7 +205,8 @@ class Library:
         return self._rows("battery", 1, np.float32, samples.astype(np.float32))[:, 0]
 
 
-def _pointers(*arrays: np.ndarray) -> list[ctypes.c_void_p]:
+def pointers(*arrays: np.ndarray) -> list[ctypes.c_void_p]:
+    """The addresses of arrays, as arguments of C."""
     return [array.ctypes.data_as(ctypes.c_void_p) for array in arrays]
 
 

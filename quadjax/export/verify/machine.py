@@ -22,6 +22,8 @@ from unicorn.arm_const import (
     UC_CPU_ARM_CORTEX_M7,
 )
 
+from quadjax.core.interruptions import uninterrupted
+
 PAGE = 4096
 STACK_TOP, STACK_SIZE = 0x7000_0000, 1 << 20
 HEAP, HEAP_SIZE = 0x4000_0000, 1 << 28
@@ -61,6 +63,7 @@ class Machine:
             self._cpu.reg_write(UC_ARM_REG_C1_C0_2, access)
             self._cpu.reg_write(UC_ARM_REG_FPEXC, 0x40000000)
         self._free = HEAP
+        self._signals: list[int] = []  # that have come during a call
 
     def _load(self, path: Path) -> None:
         with open(path, "rb") as stream:
@@ -103,7 +106,8 @@ class Machine:
         self._cpu.reg_write(UC_ARM_REG_LR, RETURN | self._thumb)
         for register, value in zip(ARGUMENTS, arguments, strict=False):
             self._cpu.reg_write(register, value)
-        self._cpu.emu_start(self.symbols[name], RETURN)
+        with uninterrupted() as self._signals:  # an exception in a hook would be lost
+            self._cpu.emu_start(self.symbols[name], RETURN)
         return self._cpu.reg_read(UC_ARM_REG_R0)
 
     def _block(self, address: int, size: int) -> dict[int, int]:
@@ -135,6 +139,8 @@ class Machine:
             if address not in weights:
                 weights.update(self._block(address, size))
             counted[0] += weights[address]
+            if self._signals:
+                self._cpu.emu_stop()
 
         bottom = STACK_TOP - STACK_SIZE
         self._cpu.mem_write(bottom, bytes([PAINT]) * STACK_SIZE)

@@ -40,12 +40,12 @@ class Compiler:
         Raises:
             Failed: with the first line of the compiler's output.
         """
-        command = [*self.command, *self.flags, *extra, *map(str, sources), "-o", str(output)]
+        files = [*map(str, sources), "-o", str(output)]
+        command = [*self.command, *self.flags, *files, *extra]  # a library follows its users
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
-            lines = [
-                line for line in done.stderr.splitlines() if "error" in line or "warning" in line
-            ]
+            words = ("error:", "warning", "undefined")
+            lines = [line for line in done.stderr.splitlines() if any(w in line for w in words)]
             raise Failed(f"{self.name}: {(lines or done.stderr.splitlines() or ['failed'])[0]}")
         return output
 

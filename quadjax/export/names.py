@@ -1,0 +1,82 @@
+"""The names in an exported folder, and checks of names and folders that need no JAX."""
+
+import re
+from pathlib import Path
+
+from quadjax.core.errors import InputError
+from quadjax.core.files import check_file
+from quadjax.core.folders import check_kind, kind_of
+
+KIND = "export"
+POLICY_FILE, CONFIG_FILE, RESIDUAL_FILE = "policy.npz", "config.yaml", "residual.npz"
+REPORT = "_report.json"
+LONGEST_NAME = 31
+RESERVED = re.compile(r"(qj|quadjax|neural_network|nn_controller|controller_quadjax)(_|$)")
+
+
+def identifier(text: str) -> str:
+    """Text as a lower-case C identifier."""
+    name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_") or "policy"
+    return name if name[0].isalpha() else f"policy_{name}"
+
+
+def symbol_name(name: str | None, file: str) -> str:
+    """The name of the files and of the table in C: the requested one, or the policy file's.
+
+    Raises:
+        InputError: a name that is no identifier, or that of a file of the runtime.
+    """
+    if name is None:
+        stem = identifier(Path(file).stem)
+        return (f"policy_{stem}" if RESERVED.match(stem) else stem)[:LONGEST_NAME]
+    if identifier(name) != name or len(name) > LONGEST_NAME:
+        raise InputError(
+            f"--name {name!r}: expected a lower-case C identifier of at most {LONGEST_NAME} letters"
+        )
+    if RESERVED.match(name):
+        raise InputError(f"--name {name!r}: files of the runtime have such names; choose another")
+    return name
+
+
+def check_new_folder(folder: Path, name: str, overwrite: bool) -> None:
+    """Reject a folder of other files, which an export would be mixed with, or of an export.
+
+    Raises:
+        InputError: such a folder, and what replaces it.
+    """
+    check_kind(folder, KIND)
+    others = sorted(path.name for path in folder.glob("*")) if folder.is_dir() else []
+    names = [file.removesuffix(REPORT) for file in others if file.endswith(REPORT)]
+    another = [other for other in names if other != name]
+    if another:
+        raise InputError(
+            f"{folder}: holds an export named {another[0]!r}; choose another folder (--output), or "
+            "delete it"
+        )
+    if names and not overwrite:
+        raise InputError(
+            f"{folder} holds an export already: replace it (overwrite=True) or choose another "
+            "folder (--output)"
+        )
+    if others and not overwrite and kind_of(folder) is None:
+        raise InputError(
+            f"{folder} holds no export, but {others[0]}: choose another folder (--output), or "
+            "write next to these files (overwrite=True)"
+        )
+
+
+def report_of(folder: Path) -> Path:
+    """The report in an exported folder.
+
+    Raises:
+        InputError: no such folder, or one that is no whole export.
+    """
+    check_kind(folder, KIND)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder of quadjax export")
+    reports = sorted(folder.glob(f"*{REPORT}"))
+    if len(reports) != 1:
+        raise InputError(f"{folder}: expected one *{REPORT}, found {len(reports)}")
+    for name in (POLICY_FILE, CONFIG_FILE):
+        check_file(folder / name)
+    return reports[0]

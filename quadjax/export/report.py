@@ -1,0 +1,154 @@
+"""What is proven and measured of an export, as JSON and as text."""
+
+import dataclasses
+import hashlib
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.core import mlp
+from quadjax.export import emulator
+from quadjax.export.cases import uniform_samples
+from quadjax.export.conversion import Converted, sha256
+from quadjax.export.integers import WORD, enable_x64
+from quadjax.policy.file import Policy
+
+BOX_SAMPLES = 20_000
+Json = dict[str, Any]
+
+
+def float64_commands(policy: Policy, observations: np.ndarray) -> np.ndarray:
+    """Commands (n, 4) of the real-valued policy, in float64."""
+    with enable_x64(True):
+        layers = [tuple(jnp.asarray(x, jnp.float64) for x in layer) for layer in policy.layers]
+        y = np.asarray(mlp.apply(layers, jnp.asarray(observations, jnp.float64), "relu"))
+    low, high = policy.command_low, policy.command_high
+    return low + 0.5 * (high - low) * (np.clip(y, -1.0, 1.0) + 1.0)
+
+
+def make_report(converted: Converted) -> Json:
+    """Proven bounds and measurements as JSON takes them; ``verify`` reads the options from it."""
+    fixed, rollouts = converted.fixed, converted.rollouts
+    assert rollouts is not None and rollouts.laps is not None
+    laps = rollouts.laps
+    network, box, own = fixed.network, fixed.network.box, converted.own
+    unit = 2.0**network.fraction_bits
+    inputs = zip(box.layout.labels, box.ranges.tolist(), box.units, strict=True)
+    samples = {
+        "random inputs": uniform_samples(network, BOX_SAMPLES, 0),
+        "simulated": rollouts.observations,
+    }
+    report: Json = {
+        "format_version": fixed.version,
+        "vehicle": network.model.name,
+        "unit": network.unit,
+        "inputs": [dict(zip(("name", "range", "unit"), row, strict=True)) for row in inputs],
+        "fraction_bits": network.fraction_bits,
+        "command_low": (network.command_low / unit).tolist(),
+        "command_high": (network.command_high / unit).tolist(),
+        "layers": [_layer(converted, index) for index in range(len(network.layers))],
+        "error_bound": converted.proof.error_bound.tolist(),
+        "measured_error": {name: _measure(converted, x) for name, x in samples.items()},
+        "policy": converted.file,
+        "policy_sha256": fixed.policy_hash,
+        "source": converted.policy.source,
+        "track": own.track,
+        "config": own.origin,
+        "config_sha256": hashlib.sha256(own.text.encode()).hexdigest(),
+        "deterministic": fixed.noise is None,
+        "options": dataclasses.asdict(converted.options),
+        "estimator": None,
+        "battery": None,
+        "noise": None,
+        "flights": {
+            "runs": len(laps.crashes),
+            "finished": laps.finished,
+            "laps": laps.lap_times.shape[1],
+            "observations": rollouts.steps,
+        },
+    }
+    if fixed.estimator is not None:
+        ranges = [2.0**e for e in fixed.estimator.channel_exponents]
+        residual = own.residual and sha256(own.residual)
+        report["estimator"] = {"residual_sha256": residual, "channel_ranges": ranges}
+    if (battery := fixed.battery) is not None:
+        report["battery"] = {
+            f"{name}_rpm": getattr(battery, name) * battery.unit
+            for name in ("lowest", "highest", "first")
+        }
+    if fixed.noise is not None:
+        deviation = (np.array(fixed.noise.factors) / unit).tolist()
+        report["noise"] = {"standard_deviation": deviation}
+    return report
+
+
+def _layer(converted: Converted, index: int) -> Json:
+    """What is proven of a layer."""
+    ranges, hidden = converted.proof.layers[index], index < len(converted.fixed.network.hidden)
+    outputs = [max(0, high >> WORD) for high in ranges.high]
+    return {
+        "rows": len(outputs),
+        "columns": int(converted.fixed.network.layers[index].weights.shape[1]),
+        "largest_accumulator": str(max(ranges.magnitude)),
+        "accumulator_bits": round(converted.proof.accumulator_bits[index], 4),
+        "largest_output": max(outputs) if hidden else None,
+        "never_active": outputs.count(0) if hidden else None,
+    }
+
+
+def _measure(converted: Converted, observations: np.ndarray) -> Json:
+    """Errors of the fixed-point policy over observations (n, inputs), in the command's unit."""
+    fixed = emulator.commands(converted.fixed.network, observations)
+    error = np.abs(fixed - float64_commands(converted.policy, observations))
+    return {
+        "samples": len(observations),
+        "largest": error.max(axis=0).tolist(),
+        "median": float(np.median(error)),
+    }
+
+
+def report_text(report: Json, name: str) -> str:
+    """A report as text."""
+    return "\n".join(_lines(report, name)) + "\n"
+
+
+def _lines(r: Json, name: str) -> Iterator[str]:
+    unit = f", {r['unit']}" if r["unit"] else ""
+    yield f"{name}: fixed-point policy, format version {r['format_version']}\n"
+    yield from (f"{key}: {r[key]}" for key in ("policy", "policy_sha256", "track", "config"))
+    yield "\nInputs, and the range that every proof below holds for:"
+    for i, row in enumerate(r["inputs"]):
+        yield f"  {i:2d}  {row['name']:<17} +-{row['range']:g} {row['unit']}".rstrip()
+    yield "\nProven for every input in those ranges, by intervals of exact integers:"
+    yield "  layer   rows  columns  largest |sum|   of 2^63   largest output  never active"
+    for i, row in enumerate(r["layers"]):
+        share = 100 * int(row["largest_accumulator"]) / 2.0**63
+        ends = ("-" if row[key] is None else row[key] for key in ("largest_output", "never_active"))
+        sizes = f"  {i:5d}  {row['rows']:5d}  {row['columns']:7d}"
+        yield f"{sizes}  2^{row['accumulator_bits']:<11.3f}  {share:6.2f}%  " + (
+            "{:>15}  {:>12}".format(*ends)
+        )
+    yield f"\nError against real arithmetic{unit}:"
+    yield f"  proven for every input      {_short(r['error_bound'])}"
+    for key, row in r["measured_error"].items():
+        yield f"  measured, {key:<17} {_short(row['largest'])} (of {row['samples']} samples)"
+    yield ""
+    if battery := r.get("battery"):
+        ends = (battery[f"{end}_rpm"] for end in ("lowest", "highest"))
+        yield "Estimate of the highest rpm, for every input: {:g} .. {:g} rpm\n".format(*ends)
+    if noise := r.get("noise"):
+        deviation = _short(noise["standard_deviation"])
+        yield f"Sampled: noise of standard deviation {deviation} {r['unit']}, at most 6 of them\n"
+    low, high = min(r["command_low"]), max(r["command_high"])
+    yield f"Commands, for every input: {low:g} .. {high:g} {r['unit']}".rstrip()
+    flown = r["flights"]
+    yield (
+        f"Flights: {flown['finished']} of {flown['runs']} finished {flown['laps']} laps; "
+        f"{flown['observations']} observations, none outside the ranges"
+    )
+
+
+def _short(values: Iterable[float]) -> str:
+    return ", ".join(f"{value:.3g}" for value in values)

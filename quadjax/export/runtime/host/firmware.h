@@ -1,0 +1,30 @@
+/* The firmware around an exported policy, for the software in the loop and the verification. Each
+ * stand-in has what the glue of its autopilot uses of the firmware, and calls the glue. pilot.c is
+ * firmware that calls the pilot itself. Not for flight. */
+#ifndef FIRMWARE_H
+#define FIRMWARE_H
+
+#include "qj_pilot.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Start-up. Returns 0, or why the policy does not fly. */
+const char *firmware_start(void);
+
+/* One call of the glue. vehicle: the newest state, of which the glue reads what the autopilot
+ * measures; 0: it is lost. flies: whether the mode of the policy is on. command: to the motors in the
+ * order of the policy, or rates and thrust; zeros if the policy commands nothing.
+ * Returns whether the autopilot lets anybody arm. */
+uint32_t firmware_call(uint32_t now_us, const qj_vehicle *vehicle, uint32_t flies,
+                       float command[QJ_COMMANDS]);
+
+/* The pilot in the glue. */
+qj_pilot *firmware_pilot(void);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif /* FIRMWARE_H */

@@ -1,0 +1,127 @@
+"""The glue of an autopilot in a stand-in of its firmware, on this machine."""
+
+import ctypes
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from quadjax.core import quaternion
+from quadjax.core.vectors import Vec3
+from quadjax.export.pilot_emulator import PilotEmulator
+from quadjax.export.targets import calls_per_step
+from quadjax.export.verify.build import VEHICLE, Sources, pointers
+from quadjax.export.verify.result import require
+from quadjax.export.verify.toolchain import host
+from quadjax.export.words import COMMANDS, FixedPolicy
+
+CPP = "-std=gnu++14 -fno-exceptions -fno-rtti -fno-threadsafe-statics".split()
+GLUE_STEPS, GLUE_TOLERANCE = 50, 2e-5  # of a command's range: an autopilot has other units
+
+
+def build_autopilot(
+    sources: Sources, output: Path, others: Sequence[Path] = (), options: Sequence[str] = ()
+) -> Path:
+    """Build the glue of a target, in a stand-in of its firmware, for this machine.
+
+    Multiplications are not fused, so that every machine computes the same.
+
+    Args:
+        sources: the C.
+        output: the program, or a library (.so) whose functions are those of ``firmware.h``.
+        others: more C.
+        options: of the compiler.
+    """
+    files, of_glue = sources.autopilot()
+    compiler, options = host(), [*of_glue, "-ffp-contract=off", *options]
+    options += ["-fPIC"] if output.suffix == ".so" else []
+    cpp = [path for path in files if path.suffix == ".cpp"]
+    for path in cpp:
+        plain = tuple(flag for flag in compiler.flags if not flag.startswith("-std"))
+        files[0] = output.with_suffix(".o")
+        options_of_cpp = [*options, *CPP, "-c"]
+        dataclasses.replace(compiler, flags=plain).build([path], files[0], options_of_cpp)
+    options += ["-shared"] if output.suffix == ".so" else []
+    return compiler.build([*files, *others], output, [*options, "-lm"])
+
+
+class Autopilot:
+    """The glue of a target with its policy, in a stand-in of its firmware, on this machine.
+
+    Attributes:
+        wrong: why the policy does not fly; None if it does.
+        armed: whether the autopilot let anybody arm at the last call.
+    """
+
+    def __init__(self, sources: Sources, work: Path, options: Sequence[str] = ()) -> None:
+        """Build it and start the firmware."""
+        self._library = ctypes.CDLL(str(build_autopilot(sources, work / "glue.so", (), options)))
+        self._library.firmware_start.restype = ctypes.c_char_p
+        reason = self._library.firmware_start()
+        self.wrong = reason and reason.decode()
+        self.armed = False
+
+    def call(self, vehicle: np.ndarray, flies: bool = True) -> np.ndarray:
+        """The command (4,) float32 by place, in a call at the time of a ``VEHICLE`` (1,).
+
+        ``flies``: whether the mode of the policy is on.
+        """
+        command = np.zeros(COMMANDS, np.float32)
+        place, out = pointers(vehicle, command)
+        now = int(vehicle["time_us"][0])
+        self.armed = bool(self._library.firmware_call(now, place, int(flies), out))
+        return command
+
+    def value(self, name: str, kind: type) -> Any:
+        """A variable of the stand-in, of a type of ctypes."""
+        return kind.in_dll(self._library, name)
+
+
+def compare_glue(sources: Sources, policy: FixedPolicy, work: Path) -> str:
+    """Compare the commands of a target's glue with those of NumPy, along a race.
+
+    Returns:
+        The largest difference, as text.
+
+    Raises:
+        Failed: the glue refuses the policy, or commands something else.
+    """
+    target, glue = sources.target, Autopilot(sources, work)
+    require(glue.wrong is None, f"the glue refuses the policy: {glue.wrong}")
+    held = policy.race.box.layout.counts_steps or not target.every_call
+    calls = calls_per_step(1e9 / sources.call_ns, policy.time_step) if held else 1
+    emulated, rows = PilotEmulator(policy, calls), random_vehicles(policy, GLUE_STEPS)
+    network = policy.network
+    span = (network.command_high - network.command_low) * 0.5**network.fraction_bits
+    worst, now = 0.0, 0.0
+    for number, row in enumerate(np.repeat(rows, calls)[:, None]):
+        now += 1e-3 * sources.call_ns
+        row["time_us"] = round(now)
+        apart = np.abs(glue.call(row).astype(np.float64) - emulated.call(row[0]))
+        worst = max(worst, float(np.max(apart / span)))
+        require(worst <= GLUE_TOLERANCE, f"call {number}: {worst:.2g} of a command's range apart")
+    require(glue.armed, "the autopilot does not let anybody arm")
+    return (
+        f"{GLUE_STEPS} steps through the glue of {target.autopilot}, in a stand-in of its "
+        f"firmware: within {worst:.1g} of a command's range of NumPy"
+    )
+
+
+def random_vehicles(policy: FixedPolicy, count: int) -> np.ndarray:
+    """Flying drones (count,) of ``VEHICLE``, in numbers that every autopilot represents."""
+    rng, found = np.random.default_rng(1), np.zeros(count, VEHICLE)
+    for name in ("position", "velocity", "rates", "body_velocity"):
+        found[name] = rng.uniform(-1.0, 1.0, (count, 3))
+    found["gyro"] = found["rates"]
+    found["euler"] = rng.uniform(-1.0, 1.0, (count, 3))
+    turned = quaternion.of_euler(Vec3(*found["euler"].astype(np.float64).T))
+    found["quaternion"] = np.stack([np.asarray(x) for x in jax.tree.leaves(turned)], axis=1)
+    found["rpm"] = np.rint(rng.uniform(3000.0, 10_000.0, (count, 4)))
+    found["rotor_speed"] = found["rpm"] * np.float32(np.pi / 30.0)
+    found["specific_force"] = np.rint(rng.uniform(-9.0, 9.0, (count, 3)) * 1024.0) / 1024.0
+    found["thrust"] = -found["specific_force"][:, 2:]
+    found["others_command"] = found["rpm"]
+    return found

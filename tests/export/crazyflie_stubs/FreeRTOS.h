@@ -1,2 +1,0 @@
-#pragma once
-#define M2T(ms) (ms)

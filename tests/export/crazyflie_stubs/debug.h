@@ -1,3 +1,0 @@
-#pragma once
-#define DEBUG_PRINT(...) stub_print(__VA_ARGS__)
-void stub_print(const char *format, ...);

@@ -1,3 +1,0 @@
-#pragma once
-#include <stdint.h>
-void vTaskDelay(uint32_t ticks);
