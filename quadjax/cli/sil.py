@@ -99,7 +99,7 @@ def sil(
             rotor_speed=rpm; may be repeated.
         view: Show the flight in the browser.
     """
-    source = source if listen else _source_of(source)
+    name_of_source, source = source, source if listen else _source_of(source)
     opt.exclude("plant", "simulator")
     if source.is_dir() or listen:
         opt.refuse("with the folder of an export, or --listen", "target")
@@ -142,7 +142,7 @@ def sil(
     else:
         print(f"Next: quadjax view {folder / STATES_FILE}")
     if source.is_file() and not listen:
-        print(f"Then: quadjax export {source} --target {target} --output out")
+        print(f"Then: quadjax export {name_of_source} --target {target} --output out")
     elif not listen:
         print(f"Then: copy the C of {source} to the autopilot, docs/guide/on_your_drone.md")
     return INTERRUPTED if last.flight.crash == STOPPED else 0
