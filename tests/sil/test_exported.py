@@ -126,7 +126,8 @@ def test_a_shipped_policy_flies_with_one_command(tmp_path, monkeypatch, capsys):
     assert run("sil", "indi_shac", "--laps", 1) == 0
     printed = capsys.readouterr().out
     assert "C that flies: indi_shac.qjp, paparazzi/" in printed and "glue of Paparazzi" in printed
-    assert "Next: quadjax view runs/sil/states.npz\nThen: quadjax export indi_shac --target " in printed
+    following = "Next: quadjax view runs/sil/states.npz\nThen: quadjax export indi_shac --target "
+    assert following in printed
     assert run("sil", "indi_shac", "--target", "px4", "--name", "other") == 2
 
 
