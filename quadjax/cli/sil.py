@@ -74,8 +74,7 @@ def sil(
     OUTPUT/NAME gets states.npz (for quadjax view and quadjax evaluate --flights),
     sil.json, table.txt and message.h, the messages for C.
 
-    Examples: quadjax sil indi_shac
-        quadjax sil out/ --late 0.2 --delay 20
+    Example: quadjax sil e2e --late 0.2 --delay 20
 
     Args:
         source: Folder of quadjax export, NAME.qjp in it, a policy file, or a shipped policy's

@@ -107,7 +107,7 @@ def test_somebody_s_files_are_not_replaced(tmp_path, capsys, arguments, file):
     ("arguments", "kind", "file"),
     [
         (("replay", "log.csv", "--vehicle", "bebop1.yaml"), "replay", "replay.json"),
-        (("sil", "one"), "flight", "sil.json"),
+        (("sil", "indi_shac"), "flight", "sil.json"),
         (("compare", "standin"), "comparison", "compare.json"),
     ],
     ids=lambda value: value if isinstance(value, str) else value[0],

@@ -1,5 +1,6 @@
 """The glue of every autopilot in a stand-in of its firmware: commands, refusals, what it loses."""
 
+import contextlib
 import ctypes
 import dataclasses
 import functools
@@ -15,7 +16,8 @@ from quadjax.export.suitability import check_target, target_of
 from quadjax.export.targets import TARGETS, calls_per_step
 from quadjax.export.verify.autopilot import Autopilot, random_vehicles
 from quadjax.export.verify.build import FILE, Sources
-from quadjax.export.verify.toolchain import WARNINGS
+from quadjax.export.verify.result import Skipped
+from quadjax.export.verify.toolchain import WARNINGS, arm_none_eabi
 from tests.export.support import converted_in, made, without_rotors
 from tests.export.test_runtime import at_of, edited
 
@@ -88,6 +90,11 @@ def test_commands_are_those_of_numpy(glue):
         expected = np.array([emulated.call(row) for row in rows])
         np.testing.assert_allclose(found, expected, atol=2e-5)
         assert len(np.unique(found, axis=0)) == len(found) and glue.autopilot.armed
+    if glue.converted.options.target == "crazyflie":
+        with contextlib.suppress(Skipped):
+            files, options = glue.sources.autopilot()
+            options += [*FIRMWARE_FLAGS["crazyflie"], "-c"]
+            arm_none_eabi("Cortex-M4").build(files[:1], glue.sources.folder / "m4.o", options)
     if glue.converted.options.target == "cortex-a9":  # what the ground sees
         sent = glue.autopilot.value("paparazzi_sent", ctypes.c_float * 15)
         assert [sent[0], sent[1], sent[6], sent[8]] == [0, 1, 50, 0]

@@ -132,7 +132,7 @@ export e2e --output out --target px4 | px4 motor racing vehicle=5inch
 verify nosuch | nosuch
 verify notes.txt | notes.txt
 sil nosuch | nosuch --listen
-sil e2e | e2e export
+sil e2e --target px4 | px4 motor racing vehicle=5inch
 sil words.qjp | words.qjp folder
 import e2e notes.txt --output new.npz | notes.txt
 import e2e bytes.npz --output new.npz | bytes.npz

@@ -119,6 +119,6 @@ def test_a_racing_policy_is_exported_verified_and_flown(
     words = ("--vectors", 100, "--allow-unfinished", "--json", "verify.json")
     assert run("verify", "out", *words) == 0
     results = json.loads(Path("verify.json").read_text())["results"]
-    assert len(results) == 8 and "fail" not in {row["verdict"] for row in results}
+    assert len(results) == 9 and "fail" not in {row["verdict"] for row in results}
     assert run("sil", "out", "--simulator", "--laps", 1) == 0
     assert json.loads(Path("runs/sil/sil.json").read_text())["crashes"]
