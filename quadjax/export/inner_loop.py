@@ -84,7 +84,7 @@ def inner_loop(policy: FixedPolicy, own: OwnRace, target: Target) -> str | None:
             "thrust": _number(constants.tau_thrust),
         },
     }
-    race: Any = parse_yaml(own.config, "the race's config")
+    race: Any = parse_yaml(own.text, "the race's config")
     motor: dict[str, float] | None = (race["vehicle"].get("models") or {}).get("motor")
     if motor:
         tree["airframe"] = {name: motor[name] for name in (*EFFECTIVENESS, *RANGE)}
