@@ -73,7 +73,9 @@ class Table:
                 grid.add_section()
             grid.add_row(*(Text(row[c]) for c in (0, *columns) if c < len(row)))
         stream = io.StringIO()
-        Console(file=stream, width=10 * WIDTH, color_system=None).print(grid)
+        # Not as a notebook's console, which would display the table and leave the text empty.
+        console = Console(file=stream, width=10 * WIDTH, color_system=None, force_jupyter=False)
+        console.print(grid)
         return "\n".join(line.rstrip() for line in stream.getvalue().rstrip().splitlines())
 
     def _markdown(self) -> str:

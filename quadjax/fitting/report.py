@@ -107,7 +107,9 @@ def text_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]])
         table.add_column(name, justify="right" if index else "left", no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    console = Console(file=io.StringIO(), width=WIDTH, markup=False, highlight=False)
+    console = Console(
+        file=io.StringIO(), width=WIDTH, markup=False, highlight=False, force_jupyter=False
+    )
     with console.capture() as captured:
         console.print(table)
     return "\n".join([title, *(line.rstrip() for line in captured.get().splitlines())])

@@ -179,3 +179,9 @@ def test_logs_of_the_plant_have_the_laps_of_their_flights(tmp_path, capsys):
     (flight,) = json.loads((tmp_path / "out" / "report.json").read_text())["groups"]["plant"]
     assert len(flight["gates"]) == 4 and flight["gates"] == sorted(flight["gates"])
     assert flight["laps"][0] == pytest.approx(2.75, abs=0.15)
+
+
+def test_a_table_is_text_in_a_notebook_too(groups, monkeypatch):
+    wanted = flights_table(groups).format("text")
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    assert flights_table(groups).format("text") == wanted and "5.60" in wanted
