@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import quadjax
-from quadjax.config.race import make_race
+from quadjax.config.assembly import make_race
 from quadjax.learners.parallel import core_count, prepare_devices
 from quadjax.training.build import untrained_policy
 from quadjax.training.score import score_runs

@@ -17,10 +17,10 @@ import numpy as np
 from cyclopts import Parameter
 
 from quadjax.cli import script
-from quadjax.cli.options import Config, Folder, Overrides, Seed, whole
+from quadjax.cli.options import ConfigName, Folder, Overrides, Seed, whole
+from quadjax.config.assembly import race_of
 from quadjax.config.checks import check_drone
 from quadjax.config.loading import load_config
-from quadjax.config.race import race_of
 from quadjax.config.schema import Randomization
 from quadjax.core.errors import InputError
 from quadjax.race.laps import starting_states
@@ -82,7 +82,7 @@ def write_drones(config, count: int, seed: int, folder: Path) -> list[Path]:
 
 
 def drones(
-    config: Config,
+    config: ConfigName,
     /,
     *overrides: Overrides,
     output: Folder,

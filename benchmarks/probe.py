@@ -13,9 +13,9 @@ import numpy as np
 
 from benchmarks.drones import reachable
 from quadjax.cli import script
-from quadjax.cli.options import Config, Count, Overrides, PolicyFile, Seed
+from quadjax.cli.options import ConfigName, Count, Overrides, PolicyFile, Seed
+from quadjax.config.assembly import race_of
 from quadjax.config.loading import load_config
-from quadjax.config.race import race_of
 from quadjax.core import mlp
 from quadjax.core.errors import InputError
 from quadjax.core.markdown import table
@@ -55,7 +55,7 @@ def sample(policy, config, drones, seconds, seed) -> tuple[np.ndarray, dict, dic
     def advance(race, count):
         def body(_, race):
             (after, _), _ = step((race, jax.random.key(0)))  # the race has no end
-            return after.replace(lap_end=race.lap_end, over=after.crash != 0)
+            return after.replace(lap_end=race.lap_end, over=after.crash_code != 0)
 
         return jax.lax.fori_loop(0, count, body, race)
 
@@ -84,8 +84,8 @@ def r_squared(drone, inputs, values) -> float:
     return float(1.0 - (error**2).mean() / target[~fitted].var())
 
 
-def probe(config: Config, /, *overrides: Overrides, policy: list[PolicyFile], drones: Count = 500,
-          seconds: Count = 8, seed: Seed = 0) -> None:  # fmt: skip
+def probe(config: ConfigName, /, *overrides: Overrides, policy: list[PolicyFile],
+          drones: Count = 500, seconds: Count = 8, seed: Seed = 0) -> None:  # fmt: skip
     """Measure what inputs and layers tell, in ``seconds`` of flight of each of ``drones``."""
     race, rows = load_config(config, overrides), []
     for file in policy:

@@ -25,12 +25,12 @@ def environment_loop(config, num_envs: int, observed: bool) -> tuple:
     import jax.numpy as jnp
     from jax.sharding import PartitionSpec
 
-    from quadjax.config.race import build_params, choices_of
+    from quadjax.config.assembly import make_choices, make_params
     from quadjax.core.environment import vectorize, where_done
     from quadjax.learners import parallel
     from quadjax.race.environment import make_environment
 
-    environment, params = make_environment(choices_of(config)), build_params(config)
+    environment, params = make_environment(make_choices(config)), make_params(config)
     batched, steps = vectorize(environment), min(20_000, max(50, STEPS_PER_CALL // num_envs))
 
     def loop(params, state, fresh, action):
@@ -57,11 +57,11 @@ def training_loop(config) -> tuple:
     """Some updates of a preset's training, and the environment steps in them."""
     import jax
 
-    from quadjax.config.race import build_params
+    from quadjax.config.assembly import make_params
     from quadjax.learners import parallel
-    from quadjax.training.build import build_learner, start_state
+    from quadjax.training.build import make_learner, start_state
 
-    learner, params = build_learner(config), build_params(config)
+    (learner, _), params = make_learner(config), make_params(config)
     first = start_state(config, learner, params)
     mesh = parallel.choose_mesh(config.run.devices, first)
     state = [parallel.place(first, mesh)]

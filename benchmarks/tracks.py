@@ -14,7 +14,7 @@ from pydantic import Field as Bounded
 
 import quadjax
 from quadjax.cli import script
-from quadjax.cli.options import Config, Folder, Overrides, PolicyFile, Runs
+from quadjax.cli.options import ConfigName, Folder, Overrides, PolicyFile, Runs
 from quadjax.core.errors import InputError
 from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
@@ -74,7 +74,7 @@ def row_of(file: Path, config, names: tuple[str, str], best, runs: int, picture:
 
 
 def tracks(
-    config: Config = "e2e_race",
+    config: ConfigName = "e2e_race",
     /,
     *overrides: Overrides,
     tracks: Names = ("square4", "figure8", "figure8_tudelft", "split_s"),

@@ -1,7 +1,7 @@
 """The public interface: ``quadjax/__init__.py`` imports these names when they are first used."""
 
+from quadjax.config.assembly import make_race as make_race
 from quadjax.config.loading import load as load
-from quadjax.config.race import make_race as make_race
 from quadjax.config.schema import Config as Config
 from quadjax.core.environment import Environment as Environment
 from quadjax.core.errors import InputError as InputError
@@ -22,7 +22,7 @@ from quadjax.learners.state import TrainState as TrainState
 from quadjax.policy.file import Policy as Policy
 from quadjax.race.layout import Field as Field
 from quadjax.race.layout import Layout as Layout
-from quadjax.race.step import Step as Step
+from quadjax.race.types import Step as Step
 from quadjax.training.result import Run as Run
 from quadjax.training.run import train as train
 from quadjax.vehicle.protocol import Measurement as Measurement

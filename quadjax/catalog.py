@@ -13,7 +13,7 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import write_text
 from quadjax.core.resources import find_file, find_policy, policy_names, preset_names
-from quadjax.core.sections import build
+from quadjax.core.sections import validate
 from quadjax.core.yaml_files import (
     Sources,
     override,
@@ -27,7 +27,7 @@ from quadjax.race.random_track import RandomTrack
 from quadjax.race.track import GateSection, TrackSection
 from quadjax.vehicle import vehicle_file
 from quadjax.vehicle.airframe import Airframe
-from quadjax.vehicle.registry import MODELS, model
+from quadjax.vehicle.registry import MODELS, base_model
 from quadjax.vehicle.summary import summarize
 from quadjax.vehicle.vehicle_file import VehicleFile
 
@@ -115,7 +115,7 @@ def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
 def _vehicle_text(config: Config) -> str:
     """Hover, thrust, rates and time constants of a vehicle, and implausible values."""
     vehicle = config.vehicle
-    summary = summarize(model(vehicle.model), vehicle.constants)
+    summary = summarize(base_model(vehicle.model), vehicle.constants)
     warnings = [f"  warning: {text}" for text in summary.warnings]
     return "\n".join([f"{vehicle.name}, model {vehicle.model}", *summary.lines, *warnings])
 
@@ -128,7 +128,7 @@ def keys_text(kind: str) -> str:
 
 def write_vehicle(path: Path, data: Sequence[str]) -> None:
     """Write the file of a vehicle from data of its airframe, ``KEY=VALUE``."""
-    airframe = build(Airframe, parse_overrides(data), "data")
+    airframe = validate(Airframe, parse_overrides(data), "data")
     motor = {name: float(f"{value:.6g}") for name, value in airframe.motor_constants().items()}
     width = round(airframe.width, 4)
     drone = VehicleFile(path.stem, {"motor": motor}, mass=airframe.mass, width=width)

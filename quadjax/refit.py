@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.stats import chi2
 
-from quadjax.config.race import build_vehicle, choices_of
+from quadjax.config.assembly import make_choices, make_vehicle
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.evaluation.table import Table
@@ -275,7 +275,7 @@ def changes(present: Model, model: Model) -> str:
 def _flight(log: FlightLog, config: Config) -> Flight | None:
     """A log as a flight with its passages, whose end is none; None without position or attitude."""
     try:
-        flight = vehicle_flight(log, choices_of(config).model, build_vehicle(config))
+        flight = vehicle_flight(log, make_choices(config).model, make_vehicle(config))
     except InputError:
         return None
     gates, closed = config.track.gates, config.track.closed

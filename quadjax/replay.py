@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from quadjax.config.race import build_params, choices_of
+from quadjax.config.assembly import make_choices, make_params
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.integrators import rk4_step
@@ -84,7 +84,7 @@ def replay(
     Raises:
         InputError: a log without a signal that is needed, or shorter than a window; in one line.
     """
-    choices, params = choices_of(drone), build_params(drone)
+    choices, params = make_choices(drone), make_params(drone)
     flight = vehicle_flight(log, choices.model, params.vehicle)
     flight = flight.with_passages(track.gates, REACH, track.closed)
     figures = {"trajectory": trajectory_figure([flight], track.gates, flight.name)}

@@ -7,8 +7,8 @@ import jax
 import numpy as np
 import pytest
 
+from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
-from quadjax.config.race import make_race
 from quadjax.core.traced import with_leaves
 from quadjax.training.build import untrained_policy
 

@@ -9,8 +9,8 @@ from quadjax.config.loading import load_config
 from quadjax.core import mlp
 from quadjax.policy.inference import act_deterministic, act_sampled, policy_params
 from quadjax.training.build import (
-    build_networks,
     input_scale,
+    make_networks,
     network_policy,
     policy_of,
     with_policy,
@@ -22,7 +22,7 @@ from tests.race.support import BLANK
 def test_training_and_flight_share_one_head(algorithm):
     """Noise comes on top of the same mean, also where the network is far beyond the limits."""
     config = load_config(BLANK, ["network.hidden=[8]", f"learner.algorithm={algorithm}"])
-    networks = build_networks(config)
+    networks = make_networks(config)
     params = networks.init(jax.random.key(0))
     first, last = params.policy
     params = params.replace(policy=(first, jax.tree.map(lambda x: 300.0 * x, last)))
@@ -43,7 +43,7 @@ def test_normalized_networks_fly_as_they_train_and_are_read_back():
     """The factors on the observation are a part of the first layer of the file's networks."""
     keys = ["network.hidden=[8]", "network.normalize=true", "track=split_s"]
     config = load_config(BLANK, keys)
-    networks, scale = build_networks(config), np.float32(input_scale(config))
+    networks, scale = make_networks(config), np.float32(input_scale(config))
     assert scale[0] < 0.5  # legs of 10 m
     params = networks.init(jax.random.key(0))
     params = params.replace(policy=jax.tree.map(lambda x: 10.0 * x, params.policy))

@@ -48,7 +48,7 @@ Listed = Annotated[
 
 
 def evaluate(
-    config: Annotated[opt.Config | None, Parameter(name="CONFIG")] = None,
+    config: Annotated[opt.ConfigName | None, Parameter(name="CONFIG")] = None,
     /,
     *overrides: opt.Overrides,
     policy: list[opt.PolicyFile] | None = None,
@@ -193,8 +193,8 @@ def _entry(
     path: Path, config: str | None, overrides: Sequence[str]
 ) -> tuple[str, tuple["Policy", "RaceConfig"]]:
     """The path of a policy file; the policy and the race that it flies."""
+    from quadjax.config.assembly import race_of
     from quadjax.config.loading import load_config
-    from quadjax.config.race import race_of
     from quadjax.policy.file import Policy
     from quadjax.policy.pilot import fit_race
     from quadjax.policy.race import race_of_policy
@@ -212,7 +212,7 @@ def _entry(
 
 def _fixed_point(policy: "Policy", race: "RaceConfig", ranges: Sequence[str]) -> "Actor":
     """The arithmetic of C that is exported with ranges, as an actor."""
-    from quadjax.config.race import race_of
+    from quadjax.config.assembly import race_of
     from quadjax.export.emulator import fixed_point_fly
     from quadjax.export.ranges import parse_overrides, track_ranges
 

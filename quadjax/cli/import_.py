@@ -21,7 +21,7 @@ Span = Annotated[
 
 
 def import_(
-    config: opt.Config,
+    config: opt.ConfigName,
     /,
     *files: Annotated[str, Parameter(name="FILE|KEY=VALUE", required=True)],
     output: Annotated[Path, opt.Output((".npz",)), Parameter(metavar="FILE.npz")],

@@ -18,7 +18,7 @@ Check = Annotated[int, Parameter(converter=opt.whole(0, 10_000), group=FLIGHTS)]
 
 
 def improve(
-    config: opt.Config,
+    config: opt.ConfigName,
     /,
     *overrides: opt.Overrides,
     policy: opt.PolicyFile,

@@ -18,7 +18,7 @@ Meter = Annotated[float, Parameter(converter=opt.number(0.0, 1000.0), metavar="M
 
 
 def limit(
-    config: opt.Config,
+    config: opt.ConfigName,
     /,
     *overrides: opt.Overrides,
     policy: Annotated[opt.PolicyFile | None, Parameter(group=SEARCH)] = None,

@@ -125,7 +125,7 @@ AllowUnfinished = Annotated[
 AllowOtherRace = Annotated[
     Flag, Parameter(help="Accept a race that differs from the one in the policy file.")
 ]
-Config = Annotated[str, Parameter(name="CONFIG", help="A preset's name or a YAML file.")]
+ConfigName = Annotated[str, Parameter(name="CONFIG", help="A preset's name or a YAML file.")]
 Overrides = Annotated[
     str, Parameter(name="KEY=VALUE", help="Changes of keys of the config, and +PART for parts.")
 ]

@@ -16,7 +16,7 @@ SEEDS = Group("Several seeds", sort_key=2)
 
 
 def train(
-    config: opt.Config,
+    config: opt.ConfigName,
     /,
     *overrides: opt.Overrides,
     name: opt.RunName | None = None,

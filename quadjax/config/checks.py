@@ -12,10 +12,10 @@ from quadjax.config.schema import Config, Schedule
 from quadjax.core.errors import InputError, close_match, short
 from quadjax.core.sections import BadValue, fields_at, refuse, value_at
 from quadjax.race.layout import LONGEST
-from quadjax.race.observations import ACTUATORS, remembered_names
+from quadjax.race.observations import ACTUATORS, history_names
 from quadjax.vehicle.constants import declarations
 from quadjax.vehicle.protocol import VehicleModel
-from quadjax.vehicle.registry import model as vehicle_model
+from quadjax.vehicle.registry import base_model
 
 SMALLEST_LEG = 0.01  # m
 MAX_THRUST = 1000.0  # times the weight
@@ -95,7 +95,7 @@ def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
 
 def _check_observation(config: Config) -> None:
     """Check that observed constants are drawn, and which fields have a history."""
-    observed, model = config.observation, vehicle_model(config.vehicle.model)
+    observed, model = config.observation, base_model(config.vehicle.model)
     random = any(config.randomization.by_constant(model).values())
     for key in ("constants", "critic_constants"):
         if getattr(observed, key) and not (random or config.randomization.population):
@@ -106,7 +106,7 @@ def _check_observation(config: Config) -> None:
     past = observed.history
     if past is None:
         return
-    fields = remembered_names(model, observed.attitude)
+    fields = history_names(model, observed)
     names = [model.actuators.name if name == ACTUATORS else name for name in past.fields]
     if not names or len(set(names)) < len(names) or set(past.fields) - set(fields):
         listed = f"one or more of {', '.join(fields)}, each once"
@@ -118,7 +118,7 @@ def _check_observation(config: Config) -> None:
 
 def _check_effects(config: Config) -> None:
     """Check that each key has an effect, and that the model has what the config asks for."""
-    name, model = config.vehicle.model, vehicle_model(config.vehicle.model)
+    name, model = config.vehicle.model, base_model(config.vehicle.model)
     if config.observation.disturbance == "estimated" and not model.can_be_disturbed:
         allowed = f"ground_truth or none with vehicle.model={name}"
         refuse("observation.disturbance", "estimated", allowed)
@@ -156,7 +156,7 @@ def check_drone(config: Config) -> None:
     Raises:
         InputError: a constant, a factor of the mismatch, or a population with which it cannot.
     """
-    model, constants = vehicle_model(config.vehicle.model), config.vehicle.constants
+    model, constants = base_model(config.vehicle.model), config.vehicle.constants
     factors, step = config.vehicle.mismatch, config.rules.time_step
     sections = {"randomization.constants": config.randomization.constants}
     for section, names in (sections | {"vehicle.mismatch": factors}).items():

@@ -15,25 +15,24 @@ from quadjax.config.schema import Config, Rules, Vehicle
 from quadjax.core.errors import InputError, close_match, prefixed
 from quadjax.core.imports import load_object
 from quadjax.core.resources import find_config
-from quadjax.core.sections import BadValue, build, one_line_errors, refuse
+from quadjax.core.sections import BadValue, Code, fields_at, one_line_errors, refuse, validate
 from quadjax.core.yaml_files import Sources, Tree, merge_layers, merge_trees
 from quadjax.learners.ppo import PPO
 from quadjax.learners.section import LearnerSection
 from quadjax.learners.shac import SHAC
 from quadjax.race.random_track import RandomTrack, generate
 from quadjax.race.track import TrackSection
-from quadjax.vehicle.registry import model as vehicle_model
+from quadjax.vehicle.registry import base_model
 from quadjax.vehicle.vehicle_file import for_each_rotor
 
 LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
 WORDS = re.compile(r" +(?=\+|[\w.]+=)")  # between a preset, its parts and overrides
-CODE = (  # keys whose values may be module:OBJECT
-    ("vehicle", "model"),
-    ("learner", "algorithm"),
-    ("observation", "extra"),
-    ("reward", "terms"),
-    ("rules", "extra"),
-)
+CODE = [  # sections and keys whose values may be module:OBJECT
+    (section, key)
+    for section in Config.model_fields
+    for key, field in fields_at(Config, [section]).items()
+    if Code() in field.metadata
+]
 
 
 def load_config(
@@ -87,7 +86,7 @@ def generated(tree: Tree, sources: Sources) -> Tree:
     for key in ("gates", "start", "closed"):
         if key in track:
             raise InputError(f"{path}: track.{key} has no effect with track.generate")
-    settings = build(RandomTrack, track["generate"], sources, "track.generate.")
+    settings = validate(RandomTrack, track["generate"], sources, "track.generate.")
     with prefixed(path):
         values = generate(settings)
     name = track.get("name") or f"random_{settings.gates}_{settings.seed}"
@@ -104,8 +103,8 @@ def _with_opening(tree: Tree, sources: Sources) -> Tree:
     section, rules = tree.get("track"), tree.get("rules") or {}
     if not isinstance(section, dict) or section.get("opening") is None:
         return tree
-    track = build(TrackSection, section, sources, "track.")
-    opening, frame = track.opening or 0.0, build(Rules, rules, sources, "rules.").gate_frame
+    track = validate(TrackSection, section, sources, "track.")
+    opening, frame = track.opening or 0.0, validate(Rules, rules, sources, "rules.").gate_frame
     gates = [{**gate, "size": [opening, opening]} for gate in section["gates"]]
     if frame > 0.0:
         sizes = sorted({side for gate in track.gates for side in gate.size})
@@ -133,15 +132,15 @@ def config_of(tree: Tree, source: str | Sources) -> Config:
     """
     with one_line_errors(source):
         schema = _learner_schema(tree.get("learner", {}))
-        vehicle = build(Vehicle, tree.get("vehicle", {}), source, prefix="vehicle.")
+        vehicle = validate(Vehicle, tree.get("vehicle", {}), source, prefix="vehicle.")
         tree = {**tree, "vehicle": _with_constants(vehicle)}
         tree, written = in_plain_units(tree, schema)
         schedules = {} if tree.get("schedules") is None else tree["schedules"]
         if isinstance(schedules, dict):  # null removes a schedule; schedules=null removes all
             schedules = {key: value for key, value in schedules.items() if value is not None}
-        learner = build(schema, tree.get("learner", {}), source, prefix="learner.")
+        learner = validate(schema, tree.get("learner", {}), source, prefix="learner.")
         tree = {**tree, "learner": learner, "schedules": schedules}
-        config = build(Config, tree, source)
+        config = validate(Config, tree, source)
         check(config)
     return config.with_race_units(written)
 
@@ -193,7 +192,7 @@ def names_of_code(config: Config) -> list[str]:
 
 def _with_constants(vehicle: Vehicle) -> Vehicle:
     """The vehicle with the constants of its model, complete."""
-    name, models, model = vehicle.model, vehicle.models, vehicle_model(vehicle.model)
+    name, models, model = vehicle.model, vehicle.models, base_model(vehicle.model)
     names = model.constant_names
     # A vehicle file names an own model by its name, not by its module.
     constants: Tree = {}

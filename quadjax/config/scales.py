@@ -18,15 +18,15 @@ from quadjax.core.sections import (
     LARGEST,
     BadValue,
     Section,
-    build,
     dotted,
     fields_at,
     refuse,
     unit_of,
+    validate,
 )
 from quadjax.core.yaml_files import Tree
 from quadjax.race.track import TrackSection
-from quadjax.vehicle.registry import model as vehicle_model
+from quadjax.vehicle.registry import base_model
 
 GRAVITY = 9.81
 LEAST_RATIO = 1.05  # of thrust to weight: a drone below it hardly accelerates sideways
@@ -90,7 +90,7 @@ def race_scales(track: TrackSection, vehicle: Vehicle, time_step: float) -> Scal
     Raises:
         InputError: a vehicle model that defines no thrust-to-weight ratio.
     """
-    model = vehicle_model(vehicle.model)
+    model = base_model(vehicle.model)
     thrust = model.thrust_to_weight(model.make_constants(vehicle.constants))
     if thrust is None:
         allowed = "a model that has thrust_to_weight, or numbers without units of the race"
@@ -125,8 +125,8 @@ def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
 
     @functools.cache
     def scales() -> Scales:
-        rules = build(Rules, tree.get("rules", {}), "rules", "rules.")
-        track = build(TrackSection, tree.get("track", {}), "track", "track.")
+        rules = validate(Rules, tree.get("rules", {}), "rules", "rules.")
+        track = validate(TrackSection, tree.get("track", {}), "track", "track.")
         return race_scales(track, tree["vehicle"], rules.time_step)
 
     def convert(node: Any, location: Location) -> Any:

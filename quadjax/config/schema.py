@@ -14,6 +14,7 @@ from quadjax.core.sections import (
     MAX_LAPS,
     MAX_RUNS,
     MAX_SEED,
+    Code,
     Field,
     FolderName,
     Section,
@@ -23,9 +24,10 @@ from quadjax.learners.ppo import PPO
 from quadjax.learners.schedules import Curriculum, Schedule
 from quadjax.learners.section import LearnerSection, Network
 from quadjax.race.observations import Observation
+from quadjax.race.randomization import Disturbance, Randomization
 from quadjax.race.rewards import Reward
 from quadjax.race.rules import Rules, TrainingLimits
-from quadjax.race.starts import Disturbance, Randomization, Start
+from quadjax.race.starts import Start
 from quadjax.race.track import TrackSection
 from quadjax.vehicle.battery import BatteryConfig
 
@@ -38,7 +40,7 @@ WithUnit = dict[Location, tuple[str, float | int]]  # numbers in units of the ra
 class Vehicle(Section):
     """The drone: its model, constants and residual."""
 
-    model: str = Field(
+    model: Annotated[str, Code()] = Field(
         "motor",
         description="dynamics: motor (commands are four propeller speeds; E2E), rate (body rates "
         "and thrust; INDI), racing or a2rl (normalized motor commands), rotor_thrust, or the "

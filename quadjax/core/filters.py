@@ -23,9 +23,9 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.errors import InputError
+from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Rotors, Vec3
 
-Scalar = jax.Array | float
 Sample = TypeVar("Sample", jax.Array, Vec3, Rotors)
 SQRT2 = float(np.sqrt(2.0))
 

@@ -81,45 +81,25 @@ def materialize_cotangent(tree: Tree, opaque_true: jax.Array) -> Tree:
     return _conditional_cotangent(tree, opaque_true)
 
 
-def call_materialized(
-    function: Callable[..., Result], opaque_true: jax.Array, *arguments: Any
-) -> Result:
-    """``function(*arguments)``, computed once, inside the conditional.
+def materializing(opaque_true: jax.Array, gradients: bool = False) -> Caller:
+    """A ``Caller`` that computes ``function(*arguments)`` once, inside the conditional.
 
-    As ``materialize(function(*arguments), opaque_true)``, without its copy of every value. Where
-    gradients flow it is exactly that.
+    As ``materialize(function(*arguments), opaque_true)``, without its copy of every value. The
+    functions that it calls are pure and closed over nothing that is traced.
 
     Args:
-        function: pure, closed over nothing that is traced.
         opaque_true: as of ``materialize``.
-        arguments: pytrees of arrays.
+        gradients: where gradients flow, it is exactly that; else it is ``function(*arguments)``.
     """
-    if jax.default_backend() != "cpu":
-        return function(*arguments)
-
-    def plain(arguments: tuple, opaque_true: jax.Array) -> Result:
-        return materialize(function(*arguments), opaque_true)
-
-    return _inside_conditional(function, plain)(arguments, opaque_true)
-
-
-def call_materialized_forward(
-    function: Callable[..., Result], opaque_true: jax.Array, *arguments: Any
-) -> Result:
-    """As ``call_materialized``, but where gradients flow it is just ``function(*arguments)``."""
-    if jax.default_backend() != "cpu":
-        return function(*arguments)
-    differentiated = lambda arguments, _: function(*arguments)  # noqa: E731
-    return _inside_conditional(function, differentiated)(arguments, opaque_true)
-
-
-def materializing(opaque_true: jax.Array) -> Caller:
-    """``call_materialized_forward`` with its flag, as a ``Caller``."""
 
     def call(function: Callable[..., Result], *arguments: Any) -> Result:
-        return call_materialized_forward(function, opaque_true, *arguments)
+        def differentiated(arguments: tuple, opaque_true: jax.Array) -> Result:
+            result = function(*arguments)
+            return materialize(result, opaque_true) if gradients else result
 
-    return call
+        return _inside_conditional(function, differentiated)(arguments, opaque_true)
+
+    return call if jax.default_backend() == "cpu" else call_directly
 
 
 def _inside_conditional(

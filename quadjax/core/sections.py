@@ -44,7 +44,7 @@ from quadjax.core.errors import InputError, close_match, short
 from quadjax.core.resources import find_config
 from quadjax.core.yaml_files import Layer, Sources, Tree, merge_layers, parse_overrides, read_layers
 
-__all__ = ["Field", "Section", "build", "load_section", "model_validator"]
+__all__ = ["Field", "Section", "validate", "load_section", "model_validator"]
 
 LARGEST = 1e9  # default bound of numbers
 MAX_LAPS, MAX_GATES, MAX_RUNS = 1000, 10_000, 100_000  # of one evaluation, simulated all at once
@@ -88,6 +88,11 @@ class Unit:
     name: str
 
 
+@dataclasses.dataclass(frozen=True)
+class Code:
+    """Marks a field that may name code, as ``module:OBJECT``: ``Annotated[str, Code()]``."""
+
+
 class BadValue(InputError):
     """A value of a key that is not allowed; the message starts with the key."""
 
@@ -122,7 +127,7 @@ class Section(pydantic.BaseModel):
             """A section from its values.
 
             Raises:
-                InputError: as ``build``.
+                InputError: as ``validate``.
             """
             with one_line_errors(type(self).__name__), _errors_of(type(self), values, ""):
                 super().__init__(**_plain(values))
@@ -133,18 +138,18 @@ class Section(pydantic.BaseModel):
         """A copy with other values, validated as a whole.
 
         Raises:
-            InputError: as ``build``.
+            InputError: as ``validate``.
         """
         values = {
             (f.alias or name): getattr(self, name) for name, f in type(self).model_fields.items()
         }
-        return build(type(self), {**values, **changes}, type(self).__name__)
+        return validate(type(self), {**values, **changes}, type(self).__name__)
 
 
 SectionType = TypeVar("SectionType", bound=Section)
 
 
-def build(
+def validate(
     schema: type[SectionType], tree: Tree, source: str | Sources, prefix: str = ""
 ) -> SectionType:
     """A section from plain values.
@@ -178,7 +183,7 @@ def load_section(
     """
     path = find_config(path, folder)
     layers: list[Layer] = [*read_layers(path), ("overrides", parse_overrides(overrides))]
-    return build(schema, *merge_layers(layers, path))
+    return validate(schema, *merge_layers(layers, path))
 
 
 def check_integer(name: str, value: object, least: int, most: int) -> None:

@@ -17,8 +17,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
+from quadjax.config.assembly import vehicle_model
 from quadjax.config.loading import load_config
-from quadjax.config.race import vehicle_model_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, prefixed
 from quadjax.core.sections import (
@@ -28,9 +28,9 @@ from quadjax.core.sections import (
     MAX_SEED,
     Field,
     Section,
-    build,
     load_section,
     model_validator,
+    validate,
 )
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.core.yaml_files import merge_trees, parse_overrides, parse_yaml
@@ -100,7 +100,7 @@ class Condition(Section):
             delay = plant.delay if DELAYS in self.only else none.delay
             plant = none.replace(effects=none.effects.replace(**on), delay=delay)
         tree = merge_trees(plant.model_dump(), parse_overrides(self.plant))
-        return build(type(plant), tree, self.label) if self.plant else plant
+        return validate(type(plant), tree, self.label) if self.plant else plant
 
 
 class Conditions(Section):
@@ -176,7 +176,7 @@ class Conditions(Section):
             yield condition, listed[condition.label]
         if not self.drawn:
             return
-        for name in vehicle_model_of(base).populations:
+        for name in vehicle_model(base).populations:
             condition = Condition(label=name, overrides=(f"randomization={{population: {name}}}",))
             yield condition, listed.setdefault(name, condition.race(base))
         drawn = config.randomization

@@ -25,7 +25,7 @@ from quadjax.plant.flights import (
 )
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
-from quadjax.vehicle.registry import model
+from quadjax.vehicle.registry import base_model
 
 RECORDED = 5  # flights of a plant that are recorded
 MOTOR_COMMAND = "motor_command"  # signal of a flight on the plant: commanded rotor speeds, rpm
@@ -71,7 +71,7 @@ def fly_plants(
 
     def record() -> list[Flight]:
         result = []
-        recorded = recorded_flights(flown[0], race.track.gates, model(policy.vehicle))
+        recorded = recorded_flights(flown[0], race.track.gates, base_model(policy.vehicle))
         for run, flight in enumerate(recorded):
             command = Signal(rows(flown[0], flown[0].frames.rpm_command, run), "rpm", MOTORS)
             result.append(flight.replace(signals=flight.signals | {MOTOR_COMMAND: command}))

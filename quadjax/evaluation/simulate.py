@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.race import race_of
+from quadjax.config.assembly import race_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3, safe_norm
@@ -20,11 +20,11 @@ from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race import environment, episode
 from quadjax.race import laps as race
-from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.episode import draw_start, start_gate, with_memory
 from quadjax.race.laps import Actor, Laps, LapState
 from quadjax.race.random_track import RandomTracks
 from quadjax.race.track import Track, gate, gate_count
+from quadjax.race.types import Choices, RaceParams, RaceState
 from quadjax.vehicle.protocol import Motion
 
 DISTANCE = 1.0  # m before the gate
@@ -147,7 +147,7 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
     The reset of Ferede et al., "One Net to Rule Them All" (arXiv 2504.21586).
     """
     first, second = jax.random.split(key)
-    state, model = environment.reset(choices, params, first), choices.model
+    state, model = episode.reset(choices, params, first), choices.model
     drawn = draw_start(model, second)
     target = start_gate(params.track, drawn["gate"][0])
     g = gate(params.track, target)

@@ -9,15 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.race import build_params, choices_of
+from quadjax.config.assembly import make_choices, make_params
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.export.names import RESIDUAL_FILE
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, fit_race, make_pilot
 from quadjax.policy.race import preset_of, race_of_policy
-from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.observations import ESTIMATED, HIGHEST_RPM
+from quadjax.race.types import Choices, RaceParams
 from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.residual import located
 
@@ -73,7 +73,7 @@ def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") 
                 "that it was trained with (config=CONFIG)"
             )
         config = config.at("observation.highest_rpm", ESTIMATED)  # as on board
-    choices, params = choices_of(config), build_params(config)
+    choices, params = make_choices(config), make_params(config)
     try:
         choices, params = fit_race(choices, params, policy, name)
     except InputError as error:

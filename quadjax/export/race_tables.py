@@ -21,10 +21,10 @@ from quadjax.core.vectors import Vec3
 from quadjax.export.integers import ONE, Rescale
 from quadjax.export.ranges import InputBox, next_gates
 from quadjax.policy.file import Policy
-from quadjax.race.environment import Choices, RaceParams
-from quadjax.race.layout import LAST_ACTION, Field, Layout, split_name
+from quadjax.race.layout import LAST_ACTION, Layout, ObservedField, split_name
 from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM, NONE
 from quadjax.race.track import Track
+from quadjax.race.types import Choices, RaceParams
 from quadjax.vehicle.battery import LOWEST
 from quadjax.vehicle.protocol import VehicleModel
 
@@ -218,7 +218,9 @@ def _spans(policy: Policy, box: InputBox) -> dict[str, Spans]:
     return spans
 
 
-def _span(policy: Policy, box: InputBox, field: Field, number: int) -> tuple[int, Rescale | None]:
+def _span(
+    policy: Policy, box: InputBox, field: ObservedField, number: int
+) -> tuple[int, Rescale | None]:
     """[low, high] to [-1, 1]: the exponent of the state's number, and the integers.
 
     The integers of a disturbance are None where the policy sees zero.

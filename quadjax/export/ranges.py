@@ -14,9 +14,8 @@ from quadjax.race.observations import (
     HIGHEST_RPM,
     NEXT_FIELDS,
     fields_of,
-    is_of_motion,
 )
-from quadjax.race.track import Track, gates_ahead
+from quadjax.race.track import Track, gates_ahead, unwrapped_turns
 from quadjax.vehicle.registry import MODELS
 
 SMALLEST, LARGEST = 2.0**-20, 2.0**20
@@ -96,7 +95,11 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
     known = {name: f for name, f in fields_of(model).items() if name not in without}
     for field in policy.layout.fields:
         base, lag = split_name(field.name)
-        fits = not lag or (is_of_motion(base) and (base in policy.layout or base == LAST_ACTION))
+        fits = not lag or (
+            base in known
+            and known[base].has_history
+            and (base in policy.layout or base == LAST_ACTION)
+        )
         if base not in known or known[base].size != field.size or not fits:
             raise InputError(
                 f"the policy observes {field.name!r} ({field.size} numbers), which has no C; "
@@ -123,11 +126,10 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
 def next_gates(track: Track) -> dict[str, np.ndarray]:
     """The fields that depend only on the gate, (gates, size) float64 of each."""
     position = np.stack([np.asarray(c) for c in track.next_position.components()], 1)
-    plain = np.roll(track.yaw, -1) - np.asarray(track.yaw)
     values = {
         "next_position": position,
         "next_yaw": np.asarray(track.next_yaw)[:, None],
-        "next_yaw_unwrapped": plain[:, None],
+        "next_yaw_unwrapped": np.asarray(unwrapped_turns(track))[:, None],
     }
     for count, (place_field, yaw_field) in enumerate(NEXT_FIELDS, start=2):
         place, yaw = gates_ahead(track, count)

@@ -40,7 +40,7 @@ from quadjax.export.words import (
     padded,
     sealed,
 )
-from quadjax.race.layout import Field, Layout, split_name
+from quadjax.race.layout import Layout, ObservedField, split_name
 from quadjax.race.observations import fields_of
 from quadjax.vehicle.registry import MODELS
 
@@ -298,7 +298,7 @@ def _box(parts: np.ndarray, vehicle: str) -> InputBox:
             raise InputError(f"kind {kind} of its inputs, allowed: 1 to {len(KINDS)}")
         exponent[name] = int(part["exponent"])
         unit, frame = units.get(split_name(name)[0], ("", ""))
-        fields.append(Field(name, int(part["size"]), unit, frame, 2.0 ** exponent[name]))
+        fields.append(ObservedField(name, int(part["size"]), unit, frame, 2.0 ** exponent[name]))
         scaled += [split_name(name)[0]] if KINDS[kind - 1] == "scaled" else []
     return InputBox(Layout(tuple(fields)), exponent, tuple(scaled))
 

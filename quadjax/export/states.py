@@ -16,10 +16,9 @@ from quadjax.export.race_tables import LAST_COMMAND, state_sizes
 from quadjax.policy import pilot
 from quadjax.policy.pilot import command_ranges
 from quadjax.race import environment, episode
-from quadjax.race.environment import Choices, Estimate, RaceParams, RaceState
 from quadjax.race.layout import Layout
 from quadjax.race.observations import HIGHEST_RPM
-from quadjax.race.step import Past
+from quadjax.race.types import Choices, Estimate, Past, RaceParams, RaceState
 from quadjax.vehicle.battery import Battery, BatteryState, battery_at_start
 from quadjax.vehicle.protocol import State, VehicleModel
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_npz
-from quadjax.core.sections import build
+from quadjax.core.sections import validate
 from quadjax.flights.flight import MOTION, Flight, Signal, motion_signals, vehicle_signals
 from quadjax.flights.gates import passages, passages_at
 from quadjax.race.track import GateSection
@@ -43,7 +43,7 @@ def gates_of(path: Path, key: str, values: Any) -> tuple[GateSection, ...]:
     if not isinstance(values or [], list):
         raise InputError(f"{path}: {key} is {values!r:.80}, expected a list")
     pairs = enumerate(values or [])
-    return tuple(build(GateSection, each, f"{path}: {key}[{index}]") for index, each in pairs)
+    return tuple(validate(GateSection, each, f"{path}: {key}[{index}]") for index, each in pairs)
 
 
 def _old_flight(

@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from quadjax.config.race import make_race
+from quadjax.config.assembly import make_race
 from quadjax.config.schema import Config
 from quadjax.core.environment import Environment, vectorize, where_done
 from quadjax.core.errors import InputError
-from quadjax.race.environment import RaceParams, RaceState
+from quadjax.race.types import RaceParams, RaceState
 
 try:
     import gymnasium

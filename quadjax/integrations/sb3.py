@@ -15,7 +15,7 @@ from quadjax.integrations.gym import AutoresetMode, RaceVectorEnv
 from quadjax.learners.ppo import PPO as Hyperparameters
 from quadjax.learners.section import LearnerSection, Network
 from quadjax.policy.file import Policy
-from quadjax.race.environment import RaceParams
+from quadjax.race.types import RaceParams
 
 try:
     import torch

@@ -179,7 +179,7 @@ def _gradient_step(
     """One step of Adam.
 
     A minibatch whose KL divergence is above the limit or whose gradient is not finite changes
-    nothing.
+    neither the policy nor the value.
     """
     gradient, metrics = jax.grad(loss, has_aux=True)(carry[0], networks, hyper, batch)
     actor = (gradient.policy, gradient.log_std)
@@ -205,9 +205,9 @@ def loss(
     """PPO's loss () of one minibatch, and its parts (Schulman et al., 2017, eq. 7 and 9).
 
     ``-mean(min(r A, clip(r, 1 - c, 1 + c) A)) + c_v mean((V - G)^2) - c_e H``, with ``r`` the
-    ratio of the new to the old probability density, ``A`` the normalized advantage and ``G`` the
-    value target. ``approx_kl`` is the estimator ``mean((r - 1) - log r)`` of KL(old, new)
-    (Schulman, "Approximating KL divergence", 2020).
+    ratio of the new to the old probability density, ``A`` the advantage, normalized over the
+    minibatch, and ``G`` the value target. ``approx_kl`` is the estimator
+    ``mean((r - 1) - log r)`` of KL(old, new) (Schulman, "Approximating KL divergence", 2020).
     """
     mean = networks.mean(params, batch.observation)
     log_ratio = log_probability(batch.action, mean, params.log_std) - batch.log_prob

@@ -131,11 +131,12 @@ def rollout(
 
 
 def td_lambda(
-    steps: Steps, discount: Scalar, mixing: Scalar, reward_scale: Scalar = 1.0
+    steps: Steps, discount: Scalar, trace_decay: Scalar, reward_scale: Scalar = 1.0
 ) -> jax.Array:
     """TD(lambda) target (time, n) of the value of the observation before each step.
 
-    ``G_t = r_t + discount ((1 - lambda) V(s'_t) + lambda G_{t+1})``, with ``mixing`` as lambda.
+    ``G_t = c r_t + discount ((1 - lambda) V(s'_t) + lambda G_{t+1})``, with lambda
+    ``trace_decay`` and c ``reward_scale``.
 
     ``s'_t`` is the state after the step and before any reset. At the last step and where an episode
     is truncated, ``V(s'_t)`` alone takes the place of the mixture, so that a truncated episode
@@ -145,7 +146,7 @@ def td_lambda(
     """
 
     def backward(following: jax.Array, step: Steps) -> tuple[jax.Array, jax.Array]:
-        mixed = (1.0 - mixing) * step.next_value + mixing * following
+        mixed = (1.0 - trace_decay) * step.next_value + trace_decay * following
         future = jnp.where(step.truncated, step.next_value, mixed)
         future = jnp.where(step.terminated, 0.0, future)
         target = reward_scale * step.reward + discount * future

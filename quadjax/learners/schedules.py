@@ -94,7 +94,7 @@ class Scheduled:
     hyper: Tree
     schedules: tuple[Knots, ...]
     # () share at which the level rises, and its largest change per update; None: no level.
-    level: tuple[jax.Array, jax.Array] | None = None
+    curriculum: tuple[jax.Array, jax.Array] | None = None
 
     def at(self, update: jax.Array, level: jax.Array | None, params: Tree) -> tuple[Tree, Tree]:
         """The hyperparameters and the environment's parameters after ``update`` () updates."""
@@ -182,28 +182,28 @@ def schedule_learner(
         for leaf in built[-1].leaves:
             if (other := keys.setdefault(leaf, key)) != key:
                 raise InputError(f"schedules: {other} and {key} change the same number")
-    level = None
+    limits = None
     if any(knots.by_level for knots in built):
         curriculum = curriculum or Curriculum()
         updates = max(1.0, curriculum.duration * steps / plan.steps_per_update)
-        level = jnp.float32(curriculum.pass_rate), jnp.float32(1.0 / updates)
+        limits = jnp.float32(curriculum.pass_rate), jnp.float32(1.0 / updates)
 
     def init(hyper: Scheduled, params: Tree, key: jax.Array) -> TrainState:
         first, lowest = jnp.zeros((), jnp.int32), jnp.zeros(())
         state = learner.init(*hyper.at(first, lowest, params), key)
-        return state if hyper.level is None else dataclasses.replace(state, level=lowest)
+        return state if hyper.curriculum is None else dataclasses.replace(state, level=lowest)
 
     def update(hyper: Scheduled, params: Tree, state: TrainState) -> tuple[TrainState, Metrics]:
-        level = None if hyper.level is None else state.level
+        level = None if hyper.curriculum is None else state.level
         following, metrics = learner.update(*hyper.at(state.update, level, params), state)
-        if hyper.level is None:
+        if hyper.curriculum is None:
             return following, metrics
         if "pass_rate" not in metrics:
             raise InputError("schedules by pass_rate: the learner reports no metric pass_rate")
-        pass_rate, climb = hyper.level  # the level rises while enough parts are completed
+        pass_rate, climb = hyper.curriculum  # the level rises while enough parts are completed
         step = jnp.where(metrics["pass_rate"] >= pass_rate, climb, -climb)
         level = jnp.clip(state.level + step, 0.0, 1.0)
         return dataclasses.replace(following, level=level), metrics | {"level": level}
 
-    hyper = Scheduled(learner.hyper, tuple(built), level)
+    hyper = Scheduled(learner.hyper, tuple(built), limits)
     return dataclasses.replace(learner, init=init, update=update, hyper=hyper)

@@ -11,7 +11,16 @@ import numpy as np
 
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError, close_match
-from quadjax.core.sections import LARGEST, MAX_SEED, Field, Section, Unit, build, check_integer
+from quadjax.core.sections import (
+    LARGEST,
+    MAX_SEED,
+    Code,
+    Field,
+    Section,
+    Unit,
+    check_integer,
+    validate,
+)
 from quadjax.learners.loop import Plan, Row, plan_chunks, train_chunks
 from quadjax.learners.parallel import choose_mesh, compile_chunk, place
 from quadjax.learners.schedules import Schedule, schedule_learner
@@ -81,11 +90,31 @@ class LearnerSection(Section):
     # worse with the other choice.
     noise_on: ClassVar[Literal["mean", "clipped_mean"]] = "mean"
 
-    algorithm: str = Field("", description="ppo, shac, or module:Class of a learner of your own")
+    algorithm: Annotated[str, Code()] = Field(
+        "", description="ppo, shac, or module:Class of a learner of your own"
+    )
 
     def make(self, environment: Environment, networks: Networks, num_updates: int) -> Learner:
         """The learner on an environment of one agent, for a number of updates."""
         raise NotImplementedError
+
+    def planned(
+        self, environment: Environment, networks: Networks, steps: int, steps_per_chunk: int
+    ) -> tuple[Learner, Plan]:
+        """The learner for a run of a number of environment steps, and how these are divided.
+
+        Raises:
+            InputError: ``make`` returns no learner.
+        """
+        # Made for one update, to read the steps of an update: the number of updates follows.
+        first = self.make(environment, networks, 1)
+        if not isinstance(first, Learner):
+            raise InputError(
+                f"learner.algorithm {self.algorithm}: make() gives a {type(first).__name__}, "
+                "expected a quadjax.Learner"
+            )
+        plan = plan_chunks(steps, steps_per_chunk, first.steps_per_update)
+        return self.make(environment, networks, plan.updates), plan
 
     def train(
         self,
@@ -128,7 +157,20 @@ class LearnerSection(Section):
             sizes = environment.observation_size, environment.action_size, networks.hidden
             clipped = self.noise_on == "clipped_mean"
             networks = Networks(*sizes, networks.activation, clipped)
-        learner, plan = self._learner(environment, networks, params, steps, schedules or {})
+        learner, plan = self.planned(environment, networks, steps, max(1, steps // CHUNKS))
+
+        def numbers_at(key: str, value: float | None) -> tuple[Any, Any]:
+            name = key.removeprefix("learner.")
+            if name in type(self).model_fields:
+                changed = self if value is None else self.replace(**{name: value})
+                return changed.make(environment, networks, plan.updates).hyper, params
+            return learner.hyper, _with_leaf(params, key, value)
+
+        sections = {
+            key: x if isinstance(x, Schedule) else validate(Schedule, {"linear": [*x]}, key)
+            for key, x in (schedules or {}).items()
+        }
+        learner = schedule_learner(learner, sections, numbers_at, plan, steps)
         state = jax.jit(learner.init)(learner.hyper, params, jax.random.key(seed))
         mesh = choose_mesh("auto", state)
         state = place(state, mesh)
@@ -147,35 +189,6 @@ class LearnerSection(Section):
             metrics={name: np.concatenate([h[name] for h in history]) for name in history[0]},
             steps=plan.steps,
         )
-
-    def _learner(
-        self,
-        environment: Environment,
-        networks: Networks,
-        params: Any,
-        steps: int,
-        schedules: Schedules,
-    ) -> tuple[Learner, Plan]:
-        """The learner with its schedules, and the plan of the run."""
-        # Made for one update, to read the steps of an update: the number of updates follows.
-        steps_per_update = self.make(environment, networks, 1).steps_per_update
-        plan = plan_chunks(steps, max(1, steps // CHUNKS), steps_per_update)
-        learner = self.make(environment, networks, plan.updates)
-
-        def numbers_at(key: str, value: float | None) -> tuple[Any, Any]:
-            name = key.removeprefix("learner.")
-            if name in type(self).model_fields:
-                changed = self if value is None else self.replace(**{name: value})
-                return changed.make(environment, networks, plan.updates).hyper, params
-            return learner.hyper, _with_leaf(params, key, value)
-
-        sections = {
-            key: value
-            if isinstance(value, Schedule)
-            else build(Schedule, {"linear": [*value]}, key)
-            for key, value in schedules.items()
-        }
-        return schedule_learner(learner, sections, numbers_at, plan, steps), plan
 
 
 def _with_leaf(params: Any, key: str, value: float | None) -> Any:

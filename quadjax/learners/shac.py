@@ -167,7 +167,7 @@ def collect_gradient(
 
     def differentiate(shared: Any, states: Any, noise: jax.Array) -> tuple[Any, Any]:
         """The sums over environments of loss and gradient; states and steps."""
-        (hyper, env_params, params, target), (state, fresh) = shared, states
+        (hyper, env_params, params, target_critic), (state, fresh) = shared, states
         here = dataclasses.replace(task, env_params=env_params)
 
         def through(state: Any) -> Any:
@@ -175,7 +175,7 @@ def collect_gradient(
 
         def loss(policy: Any) -> tuple[jax.Array, tuple[Any, Steps]]:
             actor = dataclasses.replace(params, policy=policy)
-            end, steps = rollout(here, actor, target, state, fresh, noise, through)
+            end, steps = rollout(here, actor, target_critic, state, fresh, noise, through)
             return -total_return(steps, hyper), (end, steps)
 
         (value, rest), gradient = jax.value_and_grad(loss, has_aux=True)(params.policy)

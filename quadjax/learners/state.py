@@ -89,7 +89,7 @@ class TrainState:
 
     params: ActorCritic
     optimizer: optax.OptState
-    target: Any  # ActorCritic or None: slowly moving copy, for learners with a target network
+    target: Any  # ActorCritic or None: slowly moving copy, whose value is the target critic
     environment: Any  # states of all environments, batched along the last axis
     key: jax.Array  # () PRNG key
     update: jax.Array  # () int32, number of updates done

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from quadjax.config.race import race_of
+from quadjax.config.assembly import race_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.flights.flight import SIMULATED, recorded_flights

@@ -18,10 +18,11 @@ from scipy.spatial.transform import Rotation
 from quadjax.core.errors import InputError
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.traced import with_leaves
-from quadjax.race.environment import Choices, RaceParams, RaceState, exact_rules
+from quadjax.race.environment import exact_rules
 from quadjax.race.episode import hover_start
 from quadjax.race.rules import BENEATH
 from quadjax.race.track import Track
+from quadjax.race.types import Choices, RaceParams, RaceState
 from quadjax.vehicle.protocol import State, VehicleModel
 
 POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)

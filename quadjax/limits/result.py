@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadjax.config.race import race_of
+from quadjax.config.assembly import race_of
 from quadjax.config.schema import Config, Disturbance, Randomization
 from quadjax.core.errors import InputError
 from quadjax.core.provenance import provenance

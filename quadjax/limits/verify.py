@@ -16,8 +16,9 @@ import numpy as np
 from quadjax.core.integrators import rk4_loop_step
 from quadjax.limits.problem import ATTITUDE, POSITION, TIME_STEP, VELOCITY, Gates, Problem
 from quadjax.limits.trajectory import Trajectory
-from quadjax.race.environment import Choices, RaceParams, RaceState, transition
+from quadjax.race.environment import transition
 from quadjax.race.rules import terminations_of
+from quadjax.race.types import Choices, RaceParams, RaceState
 from quadjax.vehicle.protocol import State
 
 TIME_TOLERANCE = 0.005  # relative to the time of the solution
@@ -131,7 +132,7 @@ def _fly(
 
     def advance(state: RaceState, action: jax.Array) -> tuple[RaceState, tuple]:
         after, _, outcome = transition(choices, params, state, action)
-        return after, (*motion(after.drone), outcome.crash)
+        return after, (*motion(after.drone), outcome.crash_code)
 
     rows, first = jax.lax.scan(advance, start, actions)[1], (*motion(start.drone), 0)
     return jax.tree.map(lambda x, row: jnp.concatenate([jnp.asarray(x)[None], row]), first, rows)

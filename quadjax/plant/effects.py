@@ -7,7 +7,7 @@ full strength. World NED, body FRD; forces are specific.
 import jax
 import jax.numpy as jnp
 
-from quadjax.core.filters import Scalar
+from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Rotors, Vec3, cross
 from quadjax.plant.config import FlexConfig, ImuConfig, RotorConfig
 from quadjax.vehicle.motor import MotorConstants

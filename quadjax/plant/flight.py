@@ -16,12 +16,12 @@ from quadjax.plant.onboard import OnboardParams, OnboardState
 from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.policy.pilot import Pilot, fly
 from quadjax.race import environment, laps
-from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.episode import hover, no_action
 from quadjax.race.layout import begin_past, push_past
+from quadjax.race.rewards import clipped_action
 from quadjax.race.rules import evaluate_rules
-from quadjax.race.step import Step
 from quadjax.race.track import gate, gate_count
+from quadjax.race.types import Choices, RaceParams, RaceState, Step
 from quadjax.vehicle import motor
 from quadjax.vehicle.battery import BatteryState
 from quadjax.vehicle.rate import RateCommand
@@ -111,7 +111,7 @@ def sample(
     outcome = evaluate_rules(step, plan.choices.user_rules)
     following = environment.progressed(plan.race, before, body, outcome)
     gates = gate_count(plan.race.track)
-    race = laps.score(drones.race, following, outcome, plan.plant.step, gates)
+    race = laps.count_laps(drones.race, following, outcome, plan.plant.step, gates)
     return Drones(race, state, computers), rotors
 
 
@@ -162,7 +162,7 @@ def remember(plan: Plan, before: Drones, drones: Drones, action: jax.Array) -> D
     state = before.race.state
     known = state.replace(drone=_known_motion(plan, before.onboard))
     past = push_past(state.past, known)
-    given = None if state.action is None else environment.applied(plan.choices, action)
+    given = None if state.action is None else clipped_action(action)
     after = drones.race.state.replace(past=past, action=given)
     return drones.replace(race=drones.race.replace(state=after))
 

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.config.assembly import make_vehicle, race_of
 from quadjax.config.loading import stored_config
-from quadjax.config.race import build_vehicle, race_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.quaternion import Quaternion
@@ -78,7 +78,7 @@ def plan_race(
     """
     choices, params = fit_race(*race_of(race_config(config, policy)), policy, name)
     params = exact_rules(choices.model, params)
-    model = build_vehicle(config.replace(vehicle=config.vehicle.with_model("motor")))
+    model = make_vehicle(config.replace(vehicle=config.vehicle.with_model("motor")))
     first_limit = None if params.battery is None else middle_limit(params.battery)
     low, high = plant.battery.charge
     return Plan(

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core import quaternion
-from quadjax.core.filters import Scalar
+from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import ekf, gusts, indi, plant, sensors
 from quadjax.plant.config import PlantConfig

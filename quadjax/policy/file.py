@@ -19,11 +19,10 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite, read_layers, read_npz, write_npz
 from quadjax.core.resources import find_policy, policy_names
-from quadjax.core.sections import LARGEST, Field, Section, build
+from quadjax.core.sections import LARGEST, Field, Section, validate
 from quadjax.policy import inference
 from quadjax.policy.network_files import SUFFIXES, Layers
-from quadjax.race.layout import Field as LayoutField
-from quadjax.race.layout import Layout
+from quadjax.race.layout import Layout, ObservedField
 from quadjax.race.observations import DISTURBANCES, Observation, Source, make_layout
 from quadjax.vehicle.registry import MODELS
 from quadjax.vehicle.residual import Residual, from_arrays, to_arrays
@@ -203,7 +202,7 @@ def _read(path: Path) -> Policy:
     layers = tuple(read_layers(path, arrays))
     actions = layers[-1][0].shape[1]
     values = {key: meta[key] for key in Meta.model_fields if key in meta}
-    stated = build(Meta, values, f"{path}: meta")
+    stated = validate(Meta, values, f"{path}: meta")
     low, high = np.array(stated.command_low), np.array(stated.command_high)
     if not len(low) == len(high) == actions or not np.all(low < high):
         raise InputError(
@@ -259,10 +258,10 @@ def layout_of_release_1(
     if meta["vehicle"] not in MODELS:
         raise InputError(f"{path}: meta: vehicle is {meta['vehicle']!r}, allowed: {list(MODELS)}")
     model = MODELS[meta["vehicle"]]
-    seen = build(Release1, meta.get("observation") or {}, f"{path}: meta", "observation.")
+    seen = validate(Release1, meta.get("observation") or {}, f"{path}: meta", "observation.")
     actuators = tuple(zip(low.tolist(), high.tolist(), strict=True))[-model.actuators.size :]
 
-    def with_span(field: LayoutField) -> LayoutField:
+    def with_span(field: ObservedField) -> ObservedField:
         span = actuators if field.name == model.actuators.name else field.span
         if field.name in DISTURBANCES and seen.disturbance is not None:
             half = [seen.disturbance.get(name, 0.0) for name in DISTURBANCES[field.name]]

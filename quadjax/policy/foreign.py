@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from quadjax.config.assembly import race_of
 from quadjax.config.loading import load_config
-from quadjax.config.race import race_of
 from quadjax.config.schema import Config, Vehicle
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite

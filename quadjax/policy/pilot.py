@@ -19,7 +19,6 @@ from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams, act_sampled, policy_params
-from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
 from quadjax.race.layout import Layout, delayed, split_name
 from quadjax.race.observations import (
@@ -27,8 +26,8 @@ from quadjax.race.observations import (
     NONE,
     Observation,
     fields_of,
-    is_of_motion,
 )
+from quadjax.race.types import Choices, RaceParams
 from quadjax.vehicle.protocol import VehicleModel
 
 Ranges = tuple[np.ndarray, np.ndarray]  # lowest and highest
@@ -90,7 +89,7 @@ def _arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) ->
         del fields[model.actuators.name]
     fields |= {field.name: field for field in layout.fields}
     for base, lag in map(split_name, wanted.names):
-        if lag and base in fields and is_of_motion(base):
+        if lag and base in fields and fields[base].has_history:
             past = delayed(fields[base], lag)
             fields[past.name] = past
     for field in wanted.fields:

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from quadjax.config.race import race_of
+from quadjax.config.assembly import race_of
 from quadjax.config.schema import Config, Randomization
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Layers, Policy

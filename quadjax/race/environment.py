@@ -1,9 +1,9 @@
 """The racing environment: vehicle, track, rules and starts as three pure functions of one drone.
 
-``quadjax.race.step`` has its static ``Choices``, its traced ``RaceParams`` and its ``RaceState``.
+``quadjax.race.types`` has its static ``Choices``, its traced ``RaceParams`` and its ``RaceState``.
 
-``call_materialized(f, opaque_true, *args)`` computes ``f(*args)``; it only stops XLA's CPU backend
-from computing it again for every use (``quadjax.core.materialize``).
+Read ``once(f, *args)`` as ``f(*args)``: it only stops XLA's CPU backend from computing it again for
+every use (``quadjax.core.materialize``).
 """
 
 import dataclasses
@@ -17,18 +17,14 @@ import jax.numpy as jnp
 from quadjax.core.environment import Environment
 from quadjax.core.gradients import clip_inward
 from quadjax.core.integrators import INTEGRATORS
-from quadjax.core.materialize import (
-    call_materialized,
-    materialize,
-    materialize_cotangent,
-)
+from quadjax.core.materialize import materialize, materialize_cotangent, materializing
 from quadjax.core.traced import with_leaves
 from quadjax.race.episode import reset
 from quadjax.race.layout import push_past
-from quadjax.race.rewards import reward
+from quadjax.race.rewards import clipped_action, reward
 from quadjax.race.rules import NOT_FINITE, evaluate_rules
-from quadjax.race.step import Choices, Estimate, Outcome, RaceParams, RaceState, Step
 from quadjax.race.track import gate, gate_count
+from quadjax.race.types import Choices, Estimate, Outcome, RaceParams, RaceState, Step
 from quadjax.vehicle import estimator
 from quadjax.vehicle.battery import advance_battery, limit_command
 from quadjax.vehicle.constants import values_of
@@ -38,10 +34,9 @@ from quadjax.vehicle.protocol import Command, State, VehicleModel
 def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array:
     """The observation (layout.size,); see ``quadjax.race.observations``."""
     params = params.on_track(state.track)
-    opaque_true = params.opaque_true
-    g = call_materialized(gate, opaque_true, params.track, state.target)
-    step = Step(choices.model, params, state, g)
-    return jnp.stack(call_materialized(choices.layout.numbers, opaque_true, step))
+    once = materializing(params.opaque_true, gradients=True)
+    step = Step(choices.model, params, state, once(gate, params.track, state.target))
+    return jnp.stack(once(choices.layout.numbers, step))
 
 
 def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
@@ -83,11 +78,11 @@ def transition(
         the state before it, so that no NaN propagates; the outcome reports it.
     """
     params, model = params.on_track(state.track), choices.model
-    opaque_true, simulate = params.opaque_true, functools.partial(_simulate, choices)
-    after = call_materialized(simulate, opaque_true, params, state, action)
-    g = call_materialized(gate, opaque_true, params.track, state.target)
+    once = materializing(params.opaque_true, gradients=True)
+    after = once(functools.partial(_simulate, choices), params, state, action)
+    g = once(gate, params.track, state.target)
     rules = functools.partial(evaluate_rules, user_rules=choices.user_rules)
-    outcome = call_materialized(rules, opaque_true, Step(model, params, state, g, after))
+    outcome = once(rules, Step(model, params, state, g, after))
     invalid = outcome.crashes[NOT_FINITE]
     drone = jax.tree.map(lambda new, old: jnp.where(invalid, old, new), after, state.drone)
     value = reward(Step(model, params, state, g, drone, outcome, action), choices.user_terms)
@@ -98,15 +93,10 @@ def transition(
     following = following.replace(
         battery=battery,
         estimate=_estimate(choices, params, state, drone),
-        action=None if state.action is None else applied(choices, action),
+        action=None if state.action is None else clipped_action(action),
         past=push_past(state.past, state),
     )
     return following, value, outcome
-
-
-def applied(choices: Choices, action: jax.Array) -> tuple[jax.Array, ...]:
-    """The numbers of an action, clipped to [-1, 1], without a gradient beyond the limits."""
-    return tuple(jnp.clip(action[i], -1.0, 1.0) for i in range(choices.model.action_size))
 
 
 def progressed(params: RaceParams, state: RaceState, drone: State, outcome: Outcome) -> RaceState:

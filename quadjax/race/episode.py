@@ -12,8 +12,8 @@ from quadjax.core.frames import wrap_angle
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.layout import LAST_ACTION, begin_past, split_name
-from quadjax.race.step import Choices, Estimate, RaceParams, RaceState
 from quadjax.race.track import Track, gate, gate_count, pick
+from quadjax.race.types import Choices, Estimate, RaceParams, RaceState
 from quadjax.vehicle import estimator
 from quadjax.vehicle.battery import BatteryState, battery_at_start, draw_battery
 from quadjax.vehicle.protocol import Constants, Motion, State, VehicleModel
@@ -58,8 +58,8 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     size = len(jax.tree.leaves(params.vehicle.constants)) if choices.randomize else 0
     draws = draw_start(choices.model, key, size)
     constants = _draw_constants(choices, params, draws["constants"])
-    nominal = params.vehicle.constants if constants is None else constants
-    drone, target = _draw_drone(choices.model, params, nominal, draws, key)
+    of_drone = params.vehicle.constants if constants is None else constants
+    drone, target = _draw_drone(choices.model, params, of_drone, draws, key)
     battery, clock = None, jnp.zeros((), jnp.int32)
     if params.battery is not None:
         battery = draw_battery(params.battery, drone.actuators, jax.random.fold_in(key, BATTERY))
@@ -102,14 +102,14 @@ def draw_constants(nominal: Constants, spread: Constants, numbers: jax.Array) ->
 
 
 def _draw_drone(
-    model: VehicleModel, params: RaceParams, c: Constants, draws: Draws, key: jax.Array
+    model: VehicleModel, params: RaceParams, of_drone: Constants, draws: Draws, key: jax.Array
 ) -> tuple[State, jax.Array]:
     """The vehicle's state at a random start with its disturbances, and the gate to pass next.
 
     A fraction of the episodes starts in recorded states. The others start around a point of the
     path to the gate.
     """
-    starts, target, fraction = params.start, jnp.zeros((), jnp.int32), jnp.zeros(())
+    starts, target, along = params.start, jnp.zeros((), jnp.int32), jnp.zeros(())
     if starts.gate == "random":
         target = start_gate(params.track, draws["gate"][0])
     if params.recorded is not None:
@@ -119,15 +119,15 @@ def _draw_drone(
         recorded = jax.tree.map(lambda x: x[index], params.recorded.replace(fraction=None))
         target = jnp.where(used, recorded.target, target)
     if starts.along_leg is not None:
-        fraction = starts.along_leg * jax.random.uniform(jax.random.fold_in(key, ALONG_LEG))
-    motion, actuators = _motion(params, target, fraction, draws), draws["actuators"]
+        along = starts.along_leg * jax.random.uniform(jax.random.fold_in(key, ALONG_LEG))
+    motion, actuators = _motion(params, target, along, draws), draws["actuators"]
     if params.recorded is not None:
         motion = jax.tree.map(functools.partial(jnp.where, used), recorded.motion, motion)
         count = recorded.actuators.shape[0]
         first = jnp.where(used, recorded.actuators, actuators[:count])
         actuators = jnp.concatenate([first, actuators[count:]])
     low, high = map(jnp.asarray, starts.thrust)
-    state = model.start(c, motion, actuators, (low, high))
+    state = model.start(of_drone, motion, actuators, (low, high))
     if not model.disturbed:
         return state, target
     ranges = params.disturbance

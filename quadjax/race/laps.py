@@ -14,10 +14,9 @@ from flax import struct
 from quadjax.core.errors import InputError
 from quadjax.core.gradients import Scalar
 from quadjax.race import environment, episode
-from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.rules import terminations_of
-from quadjax.race.step import Outcome
 from quadjax.race.track import Track, gate_count
+from quadjax.race.types import Choices, Outcome, RaceParams, RaceState
 
 Actor = Callable[[Any, jax.Array, jax.Array], jax.Array]  # (policy, observation, noise)
 OUT_OF_TIME = "out of time"
@@ -104,7 +103,7 @@ class LapState(struct.PyTreeNode):
     state: RaceState
     lap_end: jax.Array  # (laps, runs) s since the start; 0 where not completed
     over: jax.Array  # (runs,) bool
-    crash: jax.Array  # (runs,) 0, or the number of a termination from 1
+    crash_code: jax.Array  # (runs,) 0, or the number of a termination from 1
 
 
 Carry = tuple[LapState, jax.Array]  # drones and the key of the next noise
@@ -155,13 +154,13 @@ def advance(
     action: jax.Array,
     last: int | None = None,
 ) -> LapState:
-    """One step of one drone; see ``score``."""
+    """One step of one drone; see ``count_laps``."""
     following, _, outcome = environment.transition(choices, params, race.state, action)
     gates = gate_count(params.track)
-    return score(race, following, outcome, params.rules.time_step, gates, last)
+    return count_laps(race, following, outcome, params.rules.time_step, gates, last)
 
 
-def score(
+def count_laps(
     race: LapState,
     following: RaceState,
     outcome: Outcome,
@@ -185,10 +184,10 @@ def score(
     now = jnp.asarray(following.step, jnp.result_type(dt)) * dt
     lap_end = jnp.where(ended & (jnp.arange(race.lap_end.shape[0]) == lap), now, race.lap_end)
     crashed = outcome.crashed & ~race.over
-    crash = jnp.where(crashed, outcome.crash, race.crash)
+    code = jnp.where(crashed, outcome.crash_code, race.crash_code)
     over = race.over | crashed | (lap_end[-1] > 0)
     state = jax.tree.map(lambda new, old: jnp.where(race.over, old, new), following, race.state)
-    return LapState(state, lap_end, over, crash)
+    return LapState(state, lap_end, over, code)
 
 
 def begin(state: RaceState, laps: int) -> LapState:
@@ -329,7 +328,7 @@ def laps_of(choices: Choices, race: LapState, dt: float, limit: float) -> Laps:
     completed = np.where(ends > 0, ends, np.nan)
     times = np.diff(completed, axis=1, prepend=0.0)
     reasons = ("", *terminations_of(choices.user_rules))
-    crashes = [reasons[code] for code in np.asarray(race.crash)]
+    crashes = [reasons[code] for code in np.asarray(race.crash_code)]
     for run in np.flatnonzero(~np.isfinite(completed[:, -1])):
         crashes[run] = crashes[run] or OUT_OF_TIME
     seconds = np.asarray(race.state.step, np.float64) * dt

@@ -11,9 +11,9 @@ from pydantic import ConfigDict
 
 from quadjax.core.errors import InputError
 from quadjax.core.imports import user_numbers
-from quadjax.core.sections import LARGEST, Section, build, model_validator
+from quadjax.core.sections import LARGEST, Section, model_validator, validate
 from quadjax.core.sections import Field as Key
-from quadjax.race.step import Past, RaceParams, RaceState, Step
+from quadjax.race.types import Past, RaceParams, RaceState, Step
 from quadjax.vehicle.protocol import VehicleModel
 
 Numbers = Sequence[jax.Array]  # each ()
@@ -24,7 +24,7 @@ MARK, LONGEST = "@", 64  # between a field's name and the number of steps before
 
 
 @dataclasses.dataclass(frozen=True)
-class Field:
+class ObservedField:
     """One named group of numbers of an observation.
 
     Attributes:
@@ -38,6 +38,10 @@ class Field:
             None is minus the highest, and a range of zero width gives zero. None: not scaled.
         source: where the numbers of a disturbance come from: ground_truth, estimated or none.
         span: the numbers of ``scale``, one pair for each; None where unknown or not scaled.
+        has_history: whether it depends on the vehicle's motion and actions alone, so that it may be
+            observed as it was in earlier steps.
+        when: ``(observed, model, battery) -> whether a race observes it``, for the fields of
+            ``OBSERVATIONS``; None: every race does.
     """
 
     name: str
@@ -49,6 +53,8 @@ class Field:
     scale: Callable[[VehicleModel, RaceParams], Bounds] | None = None
     source: str = ""
     span: tuple[tuple[float, float], ...] | None = None
+    has_history: bool = False
+    when: Callable[[Any, VehicleModel, bool], bool] | None = None
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -68,6 +74,9 @@ class Field:
         return [scale_to_unit(*x) for x in zip(values, low, high, strict=True)]
 
 
+Field = ObservedField  # its name in the public interface
+
+
 def scale_to_unit(value: jax.Array, low: jax.Array | None, high: jax.Array) -> jax.Array:
     """Map [low, high], or [-high, high], to [-1, 1]; zero if the range has no width."""
     if low is None:
@@ -77,7 +86,7 @@ def scale_to_unit(value: jax.Array, low: jax.Array | None, high: jax.Array) -> j
 
 
 class StoredField(Section):
-    """The form of a ``Field`` in a file, without its functions."""
+    """The form of an ``ObservedField`` in a file, without its functions."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -101,7 +110,7 @@ class StoredField(Section):
 class Layout:
     """The fields of an observation, in order."""
 
-    fields: tuple[Field, ...]
+    fields: tuple[ObservedField, ...]
 
     @property
     def size(self) -> int:
@@ -131,7 +140,7 @@ class Layout:
     def __contains__(self, name: str) -> bool:
         return name in self.names
 
-    def __getitem__(self, name: str) -> Field:
+    def __getitem__(self, name: str) -> ObservedField:
         return self.fields[self.names.index(name)]
 
     def slice(self, name: str) -> slice:
@@ -146,7 +155,7 @@ class Layout:
     def with_spans(self, model: VehicleModel, params: RaceParams) -> "Layout":
         """The layout with the numbers of every scale."""
 
-        def spans(field: Field) -> Field:
+        def spans(field: ObservedField) -> ObservedField:
             if field.scale is None:
                 return field
             low, high = (list(map(float, jax.tree.leaves(x))) for x in field.scale(model, params))
@@ -168,8 +177,8 @@ class Layout:
         """
         if not isinstance(value, list) or not value:
             raise InputError(f"{where} is {value!r:.80}, expected a list of fields")
-        stored = (build(StoredField, item, f"{where}[{i}]") for i, item in enumerate(value))
-        layout = Layout(tuple(Field(**dict(field)) for field in stored))
+        stored = (validate(StoredField, item, f"{where}[{i}]") for i, item in enumerate(value))
+        layout = Layout(tuple(ObservedField(**dict(field)) for field in stored))
         if len(set(layout.names)) != len(layout.names):
             raise InputError(f"{where}: two fields have the same name")
         return layout
@@ -187,7 +196,7 @@ def split_name(name: str) -> tuple[str, int]:
 
 
 @functools.cache
-def delayed(field: Field, lag: int) -> Field:
+def delayed(field: ObservedField, lag: int) -> ObservedField:
     """A field as it was ``lag`` steps before."""
     value = field.value
     assert value is not None, field.name

@@ -10,20 +10,19 @@ after a gate. At the start of an episode all earlier states are the first one.
 """
 
 import functools
-from collections.abc import Mapping, Sequence
-from typing import Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
 
 from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
-from quadjax.core.sections import Field as Key
-from quadjax.core.sections import Section
+from quadjax.core.sections import Code, Field, Section
 from quadjax.core.vectors import Vec3, between
-from quadjax.race.layout import LAST_ACTION, Bounds, Field, Layout, Numbers, delayed
-from quadjax.race.step import RaceParams, Step
-from quadjax.race.track import Span, gates_ahead, pick, to_gate_frame
+from quadjax.race.layout import LAST_ACTION, Bounds, Layout, Numbers, ObservedField, delayed
+from quadjax.race.track import Span, gates_ahead, pick, to_gate_frame, unwrapped_turns
+from quadjax.race.types import RaceParams, Step
 from quadjax.vehicle.battery import LOWEST, highest_rpm
 from quadjax.vehicle.protocol import VehicleModel
 
@@ -37,14 +36,14 @@ NONE: Source = "none"
 class History(Section):
     """Fields of the observation that are also observed as they were in earlier steps."""
 
-    fields: tuple[str, ...] = Key(
+    fields: tuple[str, ...] = Field(
         (),
         max_length=6,
         description="names of observed fields: position, velocity, attitude (or rotation), rates, "
         "actuators (or their own name: rpm, rotor_speed, thrust), or last_action",
     )
-    steps: int = Key(4, ge=1, le=16, description="number of earlier values of each")
-    every: int = Key(
+    steps: int = Field(4, ge=1, le=16, description="number of earlier values of each")
+    every: int = Field(
         4,
         ge=1,
         le=16,
@@ -60,60 +59,60 @@ class History(Section):
 class Observation(Section):
     """What the policy observes."""
 
-    disturbance: Source = Key(
+    disturbance: Source = Field(
         "ground_truth",
         description="source of the observed external disturbance: the simulator, the onboard "
         "estimator, or zeros",
     )
-    highest_rpm: Source = Key(
+    highest_rpm: Source = Field(
         "estimated",
         description="source of the observed limit of the propeller speeds, with a battery: as of "
         "disturbance; none: it is not observed",
     )
-    attitude: Literal["euler", "rotation"] = Key(
+    attitude: Literal["euler", "rotation"] = Field(
         "euler",
         description="roll, pitch and the yaw relative to the gate (3), or the body's x and z axes "
         "in the gate's frame (6), which have no singularity",
     )
-    gates_ahead: int = Key(
+    gates_ahead: int = Field(
         1,
         ge=1,
         le=4,
         description="number of gates after the target whose position and yaw are observed",
     )
-    last_action: bool = Key(
+    last_action: bool = Field(
         False, description="observe the action of the step before, -1 to 1; 0 at the start"
     )
-    actuators: bool = Key(
+    actuators: bool = Field(
         True,
         description="observe the actuators' state; false: for drones that do not measure it",
     )
-    actuator_range: Span | None = Key(
+    actuator_range: Span | None = Field(
         None,
         description="actuator states that are observed as -1 and 1, in the model's unit; null: "
         "their nominal range (arXiv 2504.21586: [0, 3000] rad/s)",
     )
-    wrap_next_yaw: bool = Key(
+    wrap_next_yaw: bool = Field(
         True,
         description="wrap the next gate's relative yaw to +-180 deg; the authors' code does not",
     )
-    history: History | None = Key(
+    history: History | None = Field(
         None,
         description="earlier values that are observed too: {fields: [rates, rpm], steps: 4, "
         "every: 4} for those of 4, 8, 12 and 16 steps before; at a start, the first ones; null: "
         "none",
     )
-    constants: bool = Key(
+    constants: bool = Field(
         False,
         description="the policy observes the constants of the drone that randomization draws: for "
         "drones whose constants are known",
     )
-    critic_constants: bool = Key(
+    critic_constants: bool = Field(
         False,
         description="the critic, not the policy, also observes the constants that randomization "
         "draws; the policy file then has no critic",
     )
-    extra: tuple[str, ...] = Key(
+    extra: Annotated[tuple[str, ...], Code()] = Field(
         (), max_length=32, description="further fields, each the module:FIELD of your own Field"
     )
 
@@ -125,6 +124,18 @@ PUBLISHED = Observation()
 
 def _in_gate(step: Step, vector: Vec3) -> Numbers:
     return to_gate_frame(step.gate, vector).components()
+
+
+def _position(step: Step) -> Numbers:
+    return _in_gate(step, step.position - step.gate.position)
+
+
+def _velocity(step: Step) -> Numbers:
+    return _in_gate(step, step.velocity)
+
+
+def _rates(step: Step) -> Numbers:
+    return step.body_rates.components()
 
 
 def _attitude(step: Step) -> Numbers:
@@ -144,11 +155,10 @@ def _rotation(step: Step) -> Numbers:
 
 def _next_yaw_unwrapped(step: Step) -> Numbers:
     """The plain difference of the gates' yaws, as in the code of Ferede et al."""
-    yaw = step.params.track.yaw
-    return (pick(jnp.roll(yaw, -1) - yaw, step.state.target),)
+    return (pick(unwrapped_turns(step.params.track), step.state.target),)
 
 
-def _beyond(count: int) -> tuple[Field, Field]:
+def _beyond(count: int) -> tuple[ObservedField, ObservedField]:
     """Position and yaw of the gate that is ``count`` gates after the target."""
 
     def position(step: Step) -> Numbers:
@@ -159,10 +169,11 @@ def _beyond(count: int) -> tuple[Field, Field]:
         _, turn = gates_ahead(step.params.track, count)
         return (pick(turn, step.state.target),)
 
-    return (
-        Field(f"next{count}_position", 3, "m", "gate", 16.0, position),
-        Field(f"next{count}_yaw", 1, "rad", "gate", 4.0, yaw),
-    )
+    def when(observed: Observation, *_: object) -> bool:
+        return observed.gates_ahead >= count
+
+    place = ObservedField(f"next{count}_position", 3, "m", "gate", 16.0, position, when=when)
+    return place, ObservedField(f"next{count}_yaw", 1, "rad", "gate", 4.0, yaw, when=when)
 
 
 def _last_action(step: Step) -> Numbers:
@@ -228,111 +239,187 @@ def _constant_range(model: VehicleModel, params: RaceParams) -> Bounds:
     return tuple(x - width for x, width in pairs), tuple(x + width for x, width in pairs)
 
 
-NEXT_FIELDS = tuple(_beyond(count) for count in range(2, MOST_AHEAD + 1))
-OBSERVATIONS: Mapping[str, Field] = {  # of every model, by name; ``fields_of`` adds those of one
-    field.name: field
-    for field in (
-        Field("position", 3, "m", "gate", 8.0, lambda s: _in_gate(s, s.position - s.gate.position)),
-        Field("velocity", 3, "m/s", "gate", 16.0, lambda step: _in_gate(step, step.velocity)),
-        Field("attitude", 3, "rad", "gate", 4.0, _attitude),
-        Field("rotation", 6, "", "gate", 2.0, _rotation),
-        Field("rates", 3, "rad/s", "body", 16.0, lambda step: step.body_rates.components()),
-        Field("next_position", 3, "m", "gate", 8.0, lambda s: s.gate.next_position.components()),
-        Field("next_yaw", 1, "rad", "gate", 4.0, lambda step: (step.gate.next_yaw,)),
-        Field("next_yaw_unwrapped", 1, "rad", "gate", 8.0, _next_yaw_unwrapped),
-        *(field for pair in NEXT_FIELDS for field in pair),
-    )
-}
 # The observed disturbances by field, as the section ``disturbance`` of a config names them.
 DISTURBANCES = {"moment_ext": ("moment_x", "moment_y", "moment_z"), "force_ext": ("force_z",)}
+NEXT_FIELDS = tuple(_beyond(count) for count in range(2, MOST_AHEAD + 1))
 
 
-@functools.cache
-def fields_of(model: VehicleModel, observed: Observation = PUBLISHED) -> Mapping[str, Field]:
-    """Every field that a race of a vehicle model can give, by name.
+# Fields that depend on the vehicle model or on the source of their numbers.
 
-    Its actuators are one. ``observed`` says where disturbances and the battery's limit come from.
-    """
-    source, span, size = observed.disturbance, observed.actuator_range, model.actuators.size
-    highest = functools.partial(_highest_rpm, observed.highest_rpm)
 
-    def actuator_range(model: VehicleModel, params: RaceParams) -> Bounds:
+def _actuators(model: VehicleModel, observed: Observation) -> ObservedField:
+    span, size = observed.actuator_range, model.actuators.size
+
+    def value(step: Step) -> Numbers:
+        return jax.tree.leaves(step.drone.actuators)
+
+    def scale(model: VehicleModel, params: RaceParams) -> Bounds:
         if span is None:
             return model.actuator_range(params.vehicle.constants)
         return (jnp.float32(span[0]),) * size, (jnp.float32(span[1]),) * size
 
-    def external(name: str, unit: str, index: int, axes: str) -> Field:
-        keys = DISTURBANCES[name]
+    return ObservedField(
+        *model.actuators,
+        "body",
+        2.0,
+        value,
+        scale,
+        has_history=True,
+        when=lambda observed, *_: observed.actuators,
+    )
 
-        def value(step: Step) -> Numbers:
-            return [getattr(_disturbance(source, step)[index], axis) for axis in axes]
 
-        def width(_: VehicleModel, params: RaceParams) -> Bounds:
-            return None, [getattr(params.observed_disturbance, key) for key in keys]
+def _external(
+    name: str, unit: str, axes: str, model: VehicleModel, observed: Observation
+) -> ObservedField:
+    """An observed disturbance: the moment or the force."""
+    index, keys, source = list(DISTURBANCES).index(name), DISTURBANCES[name], observed.disturbance
 
-        return Field(name, len(axes), unit, "body", 2.0, value, width, source)
+    def value(step: Step) -> Numbers:
+        return [getattr(_disturbance(source, step)[index], axis) for axis in axes]
 
-    def actuators(step: Step) -> Numbers:
-        return jax.tree.leaves(step.drone.actuators)
+    def width(_: VehicleModel, params: RaceParams) -> Bounds:
+        return None, [getattr(params.observed_disturbance, key) for key in keys]
 
-    constants = len(model.constant_names)
-    fields = [
-        Field(*model.actuators, "body", 2.0, actuators, actuator_range),
-        Field(LAST_ACTION, model.action_size, "", "", 1.0, _last_action, _command_range),
-        Field(HIGHEST_RPM, 1, "rpm", "body", 2.0, highest, _limit_range),
-        Field(CONSTANTS, constants, "", "", 8.0, _constants, _constant_range),
-        external("moment_ext", "N m", 0, "xyz"),
-        external("force_ext", "m/s^2", 1, "z"),
-    ]
-    return {**OBSERVATIONS, **{field.name: field for field in fields}}
+    of_model = lambda observed, model, battery: model.disturbed  # noqa: E731
+    return ObservedField(name, len(axes), unit, "body", 2.0, value, width, source, when=of_model)
+
+
+# Every field, in the order of an observation, or a function ``(model, observed) -> field``. A race
+# observes those whose ``when`` is true.
+OBSERVATIONS: tuple[ObservedField | Callable[[VehicleModel, Observation], ObservedField], ...] = (
+    ObservedField("position", 3, "m", "gate", 8.0, _position, has_history=True),
+    ObservedField("velocity", 3, "m/s", "gate", 16.0, _velocity, has_history=True),
+    ObservedField(
+        "attitude",
+        3,
+        "rad",
+        "gate",
+        4.0,
+        _attitude,
+        has_history=True,
+        when=lambda observed, *_: observed.attitude == "euler",
+    ),
+    ObservedField(
+        "rotation",
+        6,
+        "",
+        "gate",
+        2.0,
+        _rotation,
+        has_history=True,
+        when=lambda observed, *_: observed.attitude == "rotation",
+    ),
+    ObservedField("rates", 3, "rad/s", "body", 16.0, _rates, has_history=True),
+    _actuators,
+    ObservedField(
+        "next_position", 3, "m", "gate", 8.0, lambda s: s.gate.next_position.components()
+    ),
+    ObservedField(
+        "next_yaw",
+        1,
+        "rad",
+        "gate",
+        4.0,
+        lambda step: (step.gate.next_yaw,),
+        when=lambda observed, *_: observed.wrap_next_yaw,
+    ),
+    ObservedField(
+        "next_yaw_unwrapped",
+        1,
+        "rad",
+        "gate",
+        8.0,
+        _next_yaw_unwrapped,
+        when=lambda observed, *_: not observed.wrap_next_yaw,
+    ),
+    *(field for pair in NEXT_FIELDS for field in pair),
+    lambda model, _: ObservedField(
+        LAST_ACTION,
+        model.action_size,
+        "",
+        "",
+        1.0,
+        _last_action,
+        _command_range,
+        has_history=True,
+        when=lambda observed, *_: observed.last_action,
+    ),
+    functools.partial(_external, "moment_ext", "N m", "xyz"),
+    functools.partial(_external, "force_ext", "m/s^2", "z"),
+    lambda _, observed: ObservedField(
+        HIGHEST_RPM,
+        1,
+        "rpm",
+        "body",
+        2.0,
+        functools.partial(_highest_rpm, observed.highest_rpm),
+        _limit_range,
+        when=lambda observed, _, battery: battery and observed.highest_rpm != NONE,
+    ),
+    lambda model, _: ObservedField(
+        CONSTANTS,
+        len(model.constant_names),
+        "",
+        "",
+        8.0,
+        _constants,
+        _constant_range,
+        when=lambda observed, *_: observed.constants,
+    ),
+)
+
+
+@functools.cache  # the functions of equal fields are the same, so that programs are reused
+def fields_of(
+    model: VehicleModel, observed: Observation = PUBLISHED
+) -> Mapping[str, ObservedField]:
+    """Every field that a race of a vehicle model can give, by name.
+
+    ``observed`` says where disturbances and the battery's limit come from.
+    """
+    rows = (row if isinstance(row, ObservedField) else row(model, observed) for row in OBSERVATIONS)
+    return {field.name: field for field in rows}
 
 
 def make_layout(
     model: VehicleModel,
     observed: Observation = PUBLISHED,
-    extra: Sequence[Field] = (),
+    extra: Sequence[ObservedField] = (),
     battery: bool = False,
 ) -> Layout:
     """The observation of a vehicle model in the race; by default that of the publication.
 
-    ``extra`` are the objects that ``observed.extra`` names, loaded; they are at the end. The limit
-    of a ``battery`` is observed where there is one.
+    It has the fields of ``OBSERVATIONS`` that ``observed`` asks for, then the history. ``extra``
+    are the objects that ``observed.extra`` names, loaded; they are at the end. The limit of a
+    ``battery`` is observed where there is one.
 
     Raises:
         InputError: two fields of one name.
     """
     fields = fields_of(model, observed)
-    names = [
-        *("position", "velocity", _attitude_of(observed.attitude), "rates"),
-        *([model.actuators.name] if observed.actuators else []),
-        *("next_position", "next_yaw" if observed.wrap_next_yaw else "next_yaw_unwrapped"),
-        *(field.name for pair in NEXT_FIELDS[: observed.gates_ahead - 1] for field in pair),
-        *([LAST_ACTION] if observed.last_action else []),
-        *(DISTURBANCES if model.disturbed else ()),
-        *([HIGHEST_RPM] if battery and observed.highest_rpm != NONE else []),
-        *([CONSTANTS] if observed.constants else []),
-    ]
+    now = [f for f in fields.values() if f.when is None or f.when(observed, model, battery)]
     past = []
     for lag in observed.history.lags if observed.history else ():
         for name in observed.history.fields if observed.history else ():
             field = model.actuators.name if name == ACTUATORS else name
             past.append(delayed(fields[field], lag))
-    layout = Layout((*(fields[name] for name in names), *past, *extra))
+    layout = Layout((*now, *past, *extra))
     if len(set(layout.names)) != len(layout.fields):
         raise InputError(f"observation fields {', '.join(layout.names)}: two have the same name")
     return layout
 
 
-def _attitude_of(kind: str) -> str:
-    return "attitude" if kind == "euler" else "rotation"
+def history_names(model: VehicleModel, observed: Observation) -> list[str]:
+    """The fields of which a history can be observed.
 
-
-def remembered_names(model: VehicleModel, attitude: str) -> tuple[str, ...]:
-    """The fields of which a history can be observed: those of the vehicle's motion and actions."""
-    motion = ("position", "velocity", _attitude_of(attitude), "rates", model.actuators.name)
-    return (*motion, ACTUATORS, LAST_ACTION)
-
-
-def is_of_motion(name: str) -> bool:
-    """Whether a field depends on the vehicle's motion and actions, so that it has a history."""
-    return name not in (*DISTURBANCES, HIGHEST_RPM, CONSTANTS) and not name.startswith("next")
+    They are the observed ones of the vehicle's motion, and its actuators and actions in any case.
+    """
+    always = (model.actuators.name, LAST_ACTION)
+    fields = [f for f in fields_of(model, observed).values() if f.has_history]
+    names = [
+        f.name
+        for f in fields
+        if f.when is None or f.name in always or f.when(observed, model, False)
+    ]
+    return [*names, ACTUATORS]

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.imports import user_numbers
-from quadjax.core.sections import Field, Section, Unit
+from quadjax.core.sections import Code, Field, Section, Unit
 from quadjax.core.traced import register
 from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.rules import HIT_A_GATE
-from quadjax.race.step import Step, UserFunctions
 from quadjax.race.track import Gate, to_gate_frame, to_opening_frame
+from quadjax.race.types import Step, UserFunctions
 
 Weight = Annotated[float, Field(ge=-1e6, le=1e6)]
 Penalty = Annotated[float, Field(ge=0, le=1e6)]
@@ -76,7 +76,7 @@ class Reward(Section):
     overspeed_margin: float = Field(
         0.03, ge=0, le=0.9, description="part of rules.speed_limit from which on overspeed applies"
     )
-    terms: dict[str, Weight] = Field(
+    terms: Annotated[dict[str, Weight], Code()] = Field(
         {}, max_length=100, description="weights of your own reward terms, by module:function"
     )
 
@@ -123,10 +123,18 @@ def gate_edge(step: Step) -> jax.Array:
     return jnp.where(crossed, -violation, 0.0)
 
 
+def clipped_action(action: jax.Array) -> tuple[jax.Array, ...]:
+    """The numbers of an action (n,), clipped to [-1, 1], without a gradient beyond the limits.
+
+    The command of an action is clipped too, with another gradient (``environment.command``).
+    """
+    return tuple(jnp.clip(action[i], -1.0, 1.0) for i in range(action.shape[0]))
+
+
 def action_change(step: Step) -> jax.Array:
     """Minus the sum () of the absolute changes of the action's numbers, each within [-1, 1]."""
     assert step.action is not None and step.state.action is not None
-    now = (jnp.clip(number, -1.0, 1.0) for number in step.action)
+    now = clipped_action(step.action)
     changes = [jnp.abs(x - before) for x, before in zip(now, step.state.action, strict=True)]
     return -functools.reduce(jnp.add, changes)
 
@@ -172,7 +180,7 @@ class Term(NamedTuple):
     optional: bool = False  # not computed in a race where its weight is always zero
 
 
-REWARDS: dict[str, Term] = {  # by the name of the weight
+REWARDS: dict[str, Term] = {  # by the name of the weight, a field of ``Reward``
     # Ferede et al., arXiv 2311.16948, with the sign that makes progress positive.
     "progress": Term(lambda step: step.distance_before - step.distance, "flight"),
     "gate": Term(lambda step: 1.0, "pass"),
@@ -212,7 +220,7 @@ def reward(step: Step, user: UserFunctions = ()) -> jax.Array:
     def total(when: str) -> Scalar:
         value: Scalar = 0.0
         for name, term in terms.items():
-            weight = getattr(section, name, section.terms.get(name))
+            weight = getattr(section, name) if name in REWARDS else section.terms.get(name)
             if term.when == when and weight is not None:
                 value = value + weight * term.value(step)
         return value

@@ -3,18 +3,18 @@
 import functools
 import math
 from collections.abc import Callable, Mapping
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.imports import user_numbers
-from quadjax.core.sections import Field, Section, Unit
+from quadjax.core.sections import Code, Field, Section, Unit
 from quadjax.core.traced import Traced, register
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.step import Outcome, Step, UserFunctions
 from quadjax.race.track import Gate, Span, gate, gate_count, to_opening_frame
+from quadjax.race.types import Outcome, Step, UserFunctions
 from quadjax.vehicle.protocol import VehicleModel
 
 Rate = Annotated[float, Field(gt=0, le=1e6)]
@@ -73,7 +73,7 @@ class Rules(Section):
     speed_limit: float | None = Field(
         None, gt=0, le=1000, description="largest speed, m/s, above which a flight ends; null: none"
     )
-    extra: tuple[str, ...] = Field(
+    extra: Annotated[tuple[str, ...], Code()] = Field(
         (), max_length=32, description="your own rules that end an episode, as module:function"
     )
 
@@ -215,23 +215,43 @@ def loses_attitude(step: Step) -> jax.Array | None:
     return exceeds(*((x, None if deg is None else jnp.radians(deg)) for x, deg in angles))
 
 
-# What ends an episode as a crash, by the text that says why: the first that applies is reported.
-# A function gives None where the race has no such rule. The rules of a user come after these.
+class Termination(NamedTuple):
+    """What ends an episode as a crash, and what to change where most flights of a training do."""
+
+    applies: Callable[[Step], jax.Array | None]  # None where the race has no such rule
+    advice: str = ""
+
+
+# By the text that says why. The first that applies is reported; a user's rules come after these.
 HIT_A_GATE = "hit a gate"  # its plane crossed outside the opening, or a frame touched
 NOT_FINITE = "not finite"
-Termination = Callable[[Step], jax.Array | None]
 TERMINATIONS: dict[str, Termination] = {
-    HIT_A_GATE: hits_a_gate,
-    "hit the ground": hits_the_ground,
-    "out of bounds": leaves_the_bounds,
-    "above the body rate limit": turns_too_fast,
-    "above the training limit of the yaw rate": lambda step: exceeds(
-        (step.body_rates.z, step.params.training_limits.yaw_rate)
+    HIT_A_GATE: Termination(
+        hits_a_gate,
+        "raise reward.gate_edge or run.steps; for gates too close to each other to be passed, "
+        "lower training_limits.gate_inflation",
     ),
-    "lost its attitude": loses_attitude,
-    NOT_FINITE: lambda step: ~jnp.isfinite(sum(jax.tree.leaves(step.drone))),
-    "above the speed limit": lambda step: exceeds(
-        (safe_norm(step.velocity), step.params.rules.speed_limit)
+    "hit the ground": Termination(
+        hits_the_ground, "lower start.position and start.roll_pitch_deg, or raise the gates"
+    ),
+    "out of bounds": Termination(leaves_the_bounds, "raise rules.position_limit"),
+    "above the body rate limit": Termination(
+        turns_too_fast, "raise rules.body_rate_limit or reward.body_rates"
+    ),
+    "above the training limit of the yaw rate": Termination(
+        lambda step: exceeds((step.body_rates.z, step.params.training_limits.yaw_rate)),
+        "raise training_limits.yaw_rate",
+    ),
+    "lost its attitude": Termination(
+        loses_attitude, "raise training_limits.pitch_deg, or lower vehicle.residual_gain"
+    ),
+    NOT_FINITE: Termination(
+        lambda step: ~jnp.isfinite(sum(jax.tree.leaves(step.drone))),
+        "check the constants of the vehicle: quadjax show FILE",
+    ),
+    "above the speed limit": Termination(
+        lambda step: exceeds((safe_norm(step.velocity), step.params.rules.speed_limit)),
+        "raise reward.overspeed or reward.overspeed_margin",
     ),
 }
 
@@ -240,7 +260,9 @@ def terminations_of(rules: UserFunctions) -> Mapping[str, Termination]:
     """``TERMINATIONS`` and a user's own rules, each checked to give one flag."""
 
     def checked(name: str, rule: Callable[[Step], jax.Array]) -> Termination:
-        return lambda step: jnp.asarray(user_numbers(f"rule {name}", rule, step)[0], bool)
+        return Termination(
+            lambda step: jnp.asarray(user_numbers(f"rule {name}", rule, step)[0], bool)
+        )
 
     return TERMINATIONS | {f"ended by {name}": checked(name, rule) for name, rule in rules}
 
@@ -248,7 +270,7 @@ def terminations_of(rules: UserFunctions) -> Mapping[str, Termination]:
 def evaluate_rules(step: Step, user_rules: UserFunctions = ()) -> Outcome:
     """The events of a step, before any reset, by ``TERMINATIONS`` and a user's own rules."""
     params, state, terminations = step.params, step.state, terminations_of(user_rules)
-    flags = {name: rule(step) for name, rule in terminations.items()}
+    flags = {name: row.applies(step) for name, row in terminations.items()}
     crashes = {name: flag for name, flag in flags.items() if flag is not None}
     truncated = state.step + 1 >= params.training_limits.episode_steps
     outcome = Outcome(pass_or_hit(step)[0], crashes, truncated, names=tuple(terminations))

@@ -134,7 +134,7 @@ class Track(Gate):
     closed: bool = struct.field(pytree_node=False, default=True)
 
 
-def build_track(section: TrackSection) -> Track:
+def make_track(section: TrackSection) -> Track:
     """The arrays of a track of a config.
 
     Where the last gate is not followed by the first, the observed gate after it is straight ahead,
@@ -175,14 +175,14 @@ def build_track(section: TrackSection) -> Track:
 
 
 @functools.lru_cache(maxsize=4)
-def build_tracks(settings: RandomTracks) -> tuple[Track, float]:
+def make_tracks(settings: RandomTracks) -> tuple[Track, float]:
     """Random tracks as one, with (tracks, gates) of each number, and their position limit, m.
 
     Raises:
         InputError: settings for which no track was found.
     """
     trees = [generate(track) for track in settings.each]
-    tracks = [build_track(TrackSection(gates=tree["gates"])) for tree in trees]
+    tracks = [make_track(TrackSection(gates=tree["gates"])) for tree in trees]
     limit = max(tree["rules"]["position_limit"] for tree in trees)
     return jax.tree.map(lambda *each: jnp.stack(each), *tracks), limit
 
@@ -232,6 +232,15 @@ def gates_ahead(track: Track, count: int) -> tuple[Vec3, jax.Array]:
         across = Vec3(cosine * step.x - sine * step.y, sine * step.x + cosine * step.y, step.z)
         position, yaw = track.next_position + across, wrap_angle(track.next_yaw + turn)
     return position, yaw
+
+
+def unwrapped_turns(track: Track) -> jax.Array:
+    """The plain difference (gates,) of the next gate's yaw and each gate's, rad.
+
+    0 at the last gate of a course, as ``Gate.next_yaw``.
+    """
+    turns = jnp.roll(track.yaw, -1) - track.yaw
+    return turns if track.closed else turns.at[-1].set(0.0)
 
 
 def inside_turn(track: Track) -> jax.Array:

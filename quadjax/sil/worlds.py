@@ -21,9 +21,9 @@ from quadjax.plant import flight, plant
 from quadjax.plant.flight import Drones, Plan
 from quadjax.policy.pilot import command_ranges
 from quadjax.race import environment, laps
-from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.laps import Laps, LapState
 from quadjax.race.track import Track
+from quadjax.race.types import Choices, RaceParams
 from quadjax.sil.message import RPM_PER_RAD_S, CommandKind
 from quadjax.vehicle.protocol import Measurement, VehicleModel
 

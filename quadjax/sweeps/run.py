@@ -16,7 +16,7 @@ from typing import Any
 
 import optuna
 
-from quadjax.config.race import build_params
+from quadjax.config.assembly import make_params
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import interruptions
 from quadjax.sweeps.study import (
@@ -58,7 +58,7 @@ def train_and_fly(
     run, asked = (f"name=trial{index:04d}", "run.devices=1"), sweep.file.objective
     config = sweep.config_of(params, *run, f"seed={seed}")
     race = sweep.config_of(params, *run, *sweep.conditions) if asked.plant is None else config
-    track, laps = build_params(config).track, config.evaluate
+    track, laps = make_params(config).track, config.evaluate
     limit = time_limit(track, race_length(track, laps.laps, laps.gates))
 
     def row_enough(row: dict[str, float]) -> bool:

@@ -14,7 +14,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, prefixed
 from quadjax.core.resources import find_file
-from quadjax.core.sections import build, value_at
+from quadjax.core.sections import validate, value_at
 from quadjax.core.yaml_files import flatten, merge_trees, override, parse_overrides, read_yaml
 from quadjax.plant.config import load_plant_config
 from quadjax.sweeps.schema import (
@@ -159,7 +159,7 @@ def load_sweep(path: Path | str, changes: Sequence[str] = ()) -> Sweep:
     for tree in trees:
         if isinstance(tree.get("space"), dict):
             tree["space"] = flatten(tree["space"], ENTRIES)
-    file = build(SweepFile, merge_trees(*trees), str(path))
+    file = validate(SweepFile, merge_trees(*trees), str(path))
     with prefixed(str(path)):
         name, *parts = file.config.split(" +")
         base = find_file(name, [path.parent])

@@ -8,38 +8,34 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.race import build_params, choices_of
+from quadjax.config.assembly import make_choices, make_params
 from quadjax.config.scales import race_scales
 from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.mlp import Layer
-from quadjax.learners.loop import plan_chunks
+from quadjax.learners.loop import Plan
 from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.state import ActorCritic, Learner, Networks, TrainState
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
-from quadjax.race.environment import (
-    RaceParams,
-    RaceState,
-    make_environment,
-    with_critic_constants,
-)
+from quadjax.race.environment import make_environment, with_critic_constants
+from quadjax.race.types import RaceParams, RaceState
 from quadjax.training.inputs import read_starts
-from quadjax.vehicle.registry import model as vehicle_model
+from quadjax.vehicle.registry import base_model
 from quadjax.vehicle.residual import is_shipped, read_residual
 
 Weights = Sequence[tuple[jax.Array | np.ndarray, jax.Array | np.ndarray]]  # kernels and biases
 REFERENCE_LEG, REFERENCE_TIME = 3.5, 0.43  # m and s, of the paper's track and the Bebop 1
 
 
-def build_environment(config: Config) -> Environment[RaceParams, RaceState]:
+def training_environment(config: Config) -> Environment[RaceParams, RaceState]:
     """The race of training.
 
     The observation has the factors of ``input_scale``. Where the critic observes the drawn
     constants, they come last.
     """
-    environment, scale = make_environment(choices_of(config)), input_scale(config)
+    environment, scale = make_environment(make_choices(config)), input_scale(config)
     constants, observe = privileged_constants(config), environment.observe
     if scale:
         environment = dataclasses.replace(
@@ -52,14 +48,14 @@ def privileged_constants(config: Config) -> tuple[tuple[str, float], ...]:
     """The constants that only the critic observes, and how far each is drawn from its value."""
     if not config.observation.critic_constants:
         return ()
-    spread = config.randomization.by_constant(vehicle_model(config.vehicle.model))
+    spread = config.randomization.by_constant(base_model(config.vehicle.model))
     every = config.randomization.population is not None
     return tuple((name, size or 1.0) for name, size in spread.items() if size or every)
 
 
-def build_networks(config: Config) -> Networks:
+def make_networks(config: Config) -> Networks:
     """The networks of a config."""
-    environment = build_environment(config)
+    environment = training_environment(config)
     return Networks(
         observation_size=environment.observation_size,
         action_size=environment.action_size,
@@ -83,37 +79,30 @@ def input_scale(config: Config) -> tuple[float, ...]:
     factors = {"m": 1.0 / length, "m/s": time / length, "rad/s": time}
     return tuple(
         factors.get(field.unit, 1.0) if field.scale is None else 1.0
-        for field in choices_of(config).layout.fields
+        for field in make_choices(config).layout.fields
         for _ in range(field.size)
     )
 
 
-def build_learner(config: Config) -> Learner[RaceParams]:
+def make_learner(config: Config) -> tuple[Learner[RaceParams], Plan]:
     """The learner of a config on the racing environment, with the schedules of the run.
+
+    Returns:
+        The learner, and how the steps of the run are divided.
 
     Raises:
         InputError: a schedule of a key that changes no number, or more than numbers.
     """
-    environment, networks = build_environment(config), build_networks(config)
-    # Made for one update, to read the steps of an update: the number of updates follows from it.
-    learner = config.learner.make(environment, networks, 1)
-    if not isinstance(learner, Learner):
-        raise InputError(
-            f"learner.algorithm {config.learner.algorithm}: make() gives a "
-            f"{type(learner).__name__}, expected a quadjax.Learner"
-        )
-    steps = config.run.steps
-    plan = plan_chunks(steps, config.run.evaluate_every, learner.steps_per_update)
-
-    def make(config: Config) -> Learner[RaceParams]:
-        return config.learner.make(environment, networks, plan.updates)
+    environment, networks = training_environment(config), make_networks(config)
+    steps, every, schedules = config.run.steps, config.run.evaluate_every, config.schedules
+    learner, plan = config.learner.planned(environment, networks, steps, every)
 
     def numbers_at(key: str, value: float | None) -> tuple[Any, RaceParams]:
         changed = config if value is None else config.at(key, value)
-        return make(changed).hyper, training_params(changed)
+        hyper = changed.learner.make(environment, networks, plan.updates).hyper
+        return hyper, training_params(changed)
 
-    whole, schedules = make(config), config.schedules
-    return schedule_learner(whole, schedules, numbers_at, plan, steps, config.curriculum)
+    return schedule_learner(learner, schedules, numbers_at, plan, steps, config.curriculum), plan
 
 
 def training_params(config: Config) -> RaceParams:
@@ -122,7 +111,7 @@ def training_params(config: Config) -> RaceParams:
     Raises:
         InputError: a file that cannot be read, or that is of another vehicle or track.
     """
-    params = build_params(config)
+    params = make_params(config)
     recorded = read_starts(config, params)
     return params if recorded is None else params.replace(recorded=recorded)
 
@@ -166,8 +155,8 @@ def initial_policy(config: Config) -> Policy | None:
         wanted if policy.value is None else [int(k.shape[1]) for k, _ in policy.value[:-1]]
     )
     for name, value, allowed in (
-        ("vehicle", policy.vehicle, vehicle_model(config.vehicle.model).name),
-        ("observation", list(policy.layout.names), list(choices_of(config).layout.names)),
+        ("vehicle", policy.vehicle, base_model(config.vehicle.model).name),
+        ("observation", list(policy.layout.names), list(make_choices(config).layout.names)),
         ("hidden widths", widths, wanted),
         ("hidden widths of the value", critic_widths, wanted),
         ("activation", policy.activation, config.network.activation),
@@ -224,7 +213,7 @@ def network_policy(config: Config, params: ActorCritic) -> PolicyParams:
 
 def untrained_policy(config: Config) -> Policy:
     """A policy with random weights for the race of a config."""
-    return policy_of(config, build_networks(config).init(jax.random.key(config.seed)), {})
+    return policy_of(config, make_networks(config).init(jax.random.key(config.seed)), {})
 
 
 def trained_policy(config: Config, params: ActorCritic, steps: int) -> Policy:
@@ -242,7 +231,7 @@ def trained_policy(config: Config, params: ActorCritic, steps: int) -> Policy:
 
 def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Policy:
     """Networks in training as a policy."""
-    choices = choices_of(config)
+    choices = make_choices(config)
     model = choices.model
     constants = model.make_constants(config.vehicle.constants)
     low, high = (np.array(jax.tree.leaves(end)) for end in model.command_range(constants))
@@ -259,7 +248,7 @@ def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Po
         noise_on=config.learner.noise_on,
         command_low=low,
         command_high=high,
-        layout=choices.layout.with_spans(model, build_params(config)),
+        layout=choices.layout.with_spans(model, make_params(config)),
         source=source,
         value=value,
         config=config.model_dump(mode="json", by_alias=True),

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.race import choices_of
+from quadjax.config.assembly import make_choices
 from quadjax.config.schema import Config
 from quadjax.core.errors import USER_ERRORS, InputError, user_error
 from quadjax.core.files import check_finite
@@ -13,10 +13,11 @@ from quadjax.flights.files import load
 from quadjax.flights.flight import MOTION, Flight
 from quadjax.learners.parallel import repeat
 from quadjax.learners.state import Learner, TrainState
-from quadjax.race.environment import RaceParams, make_environment
+from quadjax.race.environment import make_environment
 from quadjax.race.starts import RecordedStarts
+from quadjax.race.types import RaceParams
 from quadjax.vehicle.protocol import Motion
-from quadjax.vehicle.registry import model as vehicle_model
+from quadjax.vehicle.registry import base_model
 
 NAMES = (*MOTION, "actuators")  # of the signals of a recorded state
 
@@ -40,7 +41,7 @@ def read_starts(config: Config, params: RaceParams) -> RecordedStarts | None:
         return None
     name = f"run.start_states: {path}"
     arrays = states_of(name, load(path, config.track.gates))
-    model, gates = vehicle_model(config.vehicle.model), len(config.track.gates)
+    model, gates = base_model(config.vehicle.model), len(config.track.gates)
     size, target = arrays["actuators"].shape[1], arrays["target"]
     if size != model.actuators.size:
         raise InputError(
@@ -96,7 +97,7 @@ def check_functions(config: Config, params: RaceParams) -> None:
             no scalar.
     """
     if config.reward.terms or config.rules.extra or config.observation.extra:
-        environment = make_environment(choices_of(config))
+        environment = make_environment(make_choices(config))
         state = jax.eval_shape(environment.reset, params, jax.random.key(0))
         jax.eval_shape(environment.observe, params, state)
         jax.eval_shape(environment.step, params, state, jnp.zeros(environment.action_size))

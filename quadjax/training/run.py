@@ -19,15 +19,15 @@ from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
 from quadjax.core.interruptions import interruptions
 from quadjax.learners import parallel
-from quadjax.learners.loop import Plan, Row, plan_chunks, train_chunks
+from quadjax.learners.loop import Plan, Row, train_chunks
 from quadjax.learners.parallel import Chunk
 from quadjax.learners.state import ActorCritic, Learner, TrainState
 from quadjax.policy.file import Policy
-from quadjax.race.environment import RaceParams
 from quadjax.race.laps import Laps
+from quadjax.race.types import RaceParams
 from quadjax.training.build import (
-    build_learner,
     initial_policy,
+    make_learner,
     start_state,
     trained_policy,
     training_params,
@@ -116,14 +116,12 @@ def _prepare(config: Config) -> _Job:
     """Prepare a run; bad input is rejected here, before anything is written."""
     params = training_params(config)
     check_functions(config, params)
-    learner = build_learner(config)
+    learner, plan = make_learner(config)
     shapes = check_learner(config, learner, params)
     mesh = parallel.choose_mesh(config.run.devices, shapes)
     if config.run.tensorboard:
         check_tensorboard()
-    every = config.run.evaluate_every
-    chunks = plan_chunks(config.run.steps, every, learner.steps_per_update)
-    return _Job(config, params, learner, shapes, mesh, chunks, initial_policy(config))
+    return _Job(config, params, learner, shapes, mesh, plan, initial_policy(config))
 
 
 def _run(

@@ -7,27 +7,19 @@ from collections.abc import Callable, Iterable
 import jax
 import numpy as np
 
-from quadjax.config.race import choices_of
+from quadjax.config.assembly import make_choices
 from quadjax.config.schema import Config
 from quadjax.learners.state import ActorCritic
 from quadjax.policy.inference import act_deterministic, act_sampled
-from quadjax.race.environment import RaceParams
-from quadjax.race.laps import Laps, fly_laps
+from quadjax.race.laps import OUT_OF_TIME, Laps, fly_laps
+from quadjax.race.rules import TERMINATIONS
+from quadjax.race.types import RaceParams
 from quadjax.training.build import network_policy
 
 FEW_STEPS = 4e6  # before which hardly any run completes a lap
 GUIDE = "docs/guide/track.md, When it does not learn"
-CHANGES = {  # by the name of the termination
-    "hit a gate": "raise reward.gate_edge or run.steps; for gates too close to each other to be "
-    "passed, lower training_limits.gate_inflation",
-    "hit the ground": "lower start.position and start.roll_pitch_deg, or raise the gates",
-    "out of bounds": "raise rules.position_limit",
-    "above the body rate limit": "raise rules.body_rate_limit or reward.body_rates",
-    "above the training limit of the yaw rate": "raise training_limits.yaw_rate",
-    "lost its attitude": "raise training_limits.pitch_deg, or lower vehicle.residual_gain",
-    "not finite": "check the constants of the vehicle: quadjax show FILE",
-    "above the speed limit": "raise reward.overspeed or reward.overspeed_margin",
-    "out of time": "raise training_limits.gate_inflation and learner.discount, or run.steps",
+CHANGES = {name: row.advice for name, row in TERMINATIONS.items()} | {
+    OUT_OF_TIME: "raise training_limits.gate_inflation and learner.discount, or run.steps"
 }
 OWN_RULE = "check rules.extra"
 
@@ -37,7 +29,7 @@ def make_flights(config: Config, params: RaceParams) -> Callable[[ActorCritic], 
 
     They start from hover and apply the mean action or sampled ones (``run.score``).
     """
-    choices, runs, race = choices_of(config), score_runs(config), config.evaluate
+    choices, runs, race = make_choices(config), score_runs(config), config.evaluate
     act = act_sampled if config.run.score == "sampled" else act_deterministic
 
     def fly(networks: ActorCritic) -> Laps:
@@ -57,7 +49,7 @@ def score_runs(config: Config) -> int:
     disturbed = any(value > 0 for value in config.disturbance.half_widths.values())
     charge = (1.0, 1.0) if config.battery is None else config.battery.charge
     sampled = config.run.score == "sampled" or charge[0] < charge[1]
-    if choices_of(config).randomize:
+    if make_choices(config).randomize:
         return 128
     return 16 if sampled or disturbed else 1
 

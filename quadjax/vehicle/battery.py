@@ -6,8 +6,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.filters import Scalar
-from quadjax.core.gradients import clip_inward
+from quadjax.core.gradients import Scalar, clip_inward
 from quadjax.core.sections import ORDERED, Field, Fraction, NonNegative, Positive, Section
 from quadjax.core.vectors import Rotors
 

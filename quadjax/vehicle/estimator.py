@@ -20,7 +20,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.filters import Scalar, advance, butterworth, settled
+from quadjax.core.filters import advance, butterworth, settled
+from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3
 from quadjax.vehicle.protocol import Measurement, VehicleModel, VehicleParams
 

@@ -17,7 +17,7 @@ from flax import struct
 
 from quadjax.core import quaternion
 from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body
-from quadjax.core.materialize import call_materialized_forward
+from quadjax.core.materialize import materializing
 from quadjax.core.vectors import Vec3, between
 from quadjax.vehicle.constants import constant_names, declarations, from_values
 from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
@@ -164,7 +164,10 @@ class VehicleModel:
         return None
 
     def hold(self, state: State, command: Command) -> State:
-        """The state with actuators that follow the command without a lag; after each step."""
+        """The state with actuators that follow the command without a lag.
+
+        Applied after each step, and by ``derivative`` to its argument.
+        """
         return state
 
     def derivative(self, params: VehicleParams, state: State, command: Command) -> State:
@@ -283,4 +286,4 @@ def _once(params: VehicleParams, function: Callable[..., Any], *arguments: Any) 
     """``function(*arguments)``, with its values computed once where ``opaque_true`` is given."""
     if params.opaque_true is None:
         return function(*arguments)
-    return call_materialized_forward(function, params.opaque_true, *arguments)
+    return materializing(params.opaque_true)(function, *arguments)

@@ -11,7 +11,7 @@ MODELS = {
 }
 
 
-def model(reference: str | VehicleModel) -> VehicleModel:
+def base_model(reference: str | VehicleModel) -> VehicleModel:
     """A vehicle model.
 
     Args:

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
-from quadjax.config.race import make_race
 from quadjax.config.reference import commented_yaml
 from quadjax.config.scales import race_scales
 from quadjax.core.errors import InputError

@@ -7,7 +7,7 @@ import pytest
 
 import quadjax
 from quadjax.core.errors import InputError
-from quadjax.core.sections import Section, build
+from quadjax.core.sections import Section, validate
 
 MODULES = ("schema", "config", "ppo", "shac", "section", "track", "conditions")
 
@@ -55,4 +55,4 @@ class Anything(Section):
 
 def test_texts_are_bounded_in_every_section():
     with pytest.raises(InputError, match="f: names.a is 'x+..., allowed: at most 1000 characters"):
-        build(Anything, {"names": {"a": "x" * 9999}}, "f")
+        validate(Anything, {"names": {"a": "x" * 9999}}, "f")

@@ -7,10 +7,9 @@ import pytest
 
 from quadjax.core.materialize import (
     call_directly,
-    call_materialized,
-    call_materialized_forward,
     materialize,
     materialize_cotangent,
+    materializing,
 )
 
 TREE = {"a": jnp.array([0.3, -0.7, 2.0]), "b": (jnp.array([1.0, 2.0, 3.0]),)}
@@ -23,8 +22,8 @@ def once(x, y):
 CALLERS = {
     "materialize": lambda function, on, *arguments: materialize(function(*arguments), on),
     "materialize_cotangent": lambda function, on, x, y: function(materialize_cotangent(x, on), y),
-    "call_materialized": call_materialized,
-    "call_materialized_forward": call_materialized_forward,
+    "with gradients": lambda f, flag, *x: materializing(flag, gradients=True)(f, *x),
+    "forward": lambda f, flag, *x: materializing(flag)(f, *x),
     "call_directly": lambda function, _, *arguments: call_directly(function, *arguments),
 }
 

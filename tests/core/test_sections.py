@@ -9,7 +9,7 @@ import yaml
 
 from quadjax.config.reference import describe
 from quadjax.core.errors import InputError
-from quadjax.core.sections import Field, Section, build, model_validator
+from quadjax.core.sections import Field, Section, model_validator, validate
 from quadjax.core.yaml_files import (
     parse_overrides,
     parse_yaml,
@@ -50,13 +50,13 @@ class Example(Section):
 
 def test_build_takes_what_is_meant():
     tree = {"count": 2e3, "widths": [1, 2.0], "limit": 3, "span": {"until": 2}, "factors": {"a": 1}}
-    example = build(Example, tree, "f.yaml")
+    example = validate(Example, tree, "f.yaml")
     assert (example.count, example.widths, example.limit) == (2000, (1, 2), 3.0)
     assert isinstance(example.count, int) and isinstance(example.widths[1], int)
     assert example.span.end == 2.0 and example.factors == {"a": 1.0}
     assert Example(count=2e3).count == 2000 and example.replace(count=5).count == 5
     with pytest.raises(InputError, match="^f.yaml: learner.count is 0, allowed: greater"):
-        build(Example, {"count": 0}, "f.yaml", prefix="learner.")
+        validate(Example, {"count": 0}, "f.yaml", prefix="learner.")
 
 
 REFUSED = [
@@ -84,7 +84,7 @@ REFUSED = [
 @pytest.mark.parametrize(("tree", "message"), REFUSED, ids=[message for _, message in REFUSED])
 def test_build_refuses_in_one_line(tree, message):
     with pytest.raises(InputError) as caught:
-        build(Example, tree, "f.yaml")
+        validate(Example, tree, "f.yaml")
     text = str(caught.value)
     assert text.startswith(f"f.yaml: {message}") and "\n" not in text
 
@@ -202,9 +202,9 @@ def test_to_yaml_reads_back(tmp_path):
     assert "  # s\n  until: 1.5" in text
     (tmp_path / "c.yaml").write_text(text)
     assert read_yaml(tmp_path / "c.yaml") == tree
-    example = build(Example, {"points": [{"position": [1, 2]}]}, "f")
+    example = validate(Example, {"points": [{"position": [1, 2]}]}, "f")
     dumped = to_yaml(example.model_dump(by_alias=True))
-    assert build(Example, parse_yaml(dumped, "t"), "t") == example
+    assert validate(Example, parse_yaml(dumped, "t"), "t") == example
 
 
 def test_describe_lists_every_key():

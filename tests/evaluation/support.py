@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.config.assembly import make_choices, make_params
 from quadjax.config.loading import load_config
-from quadjax.config.race import build_params, choices_of
 from quadjax.policy.file import Policy, layout_of_release_1
 from tests.race.support import BLANK
 
@@ -16,7 +16,7 @@ LOW = np.array([-3.0, -3.0, -3.0, 0.0])
 
 def rate_race(*overrides: str):
     config = load_config(BLANK, ["vehicle.model=rate", *overrides])
-    return config, choices_of(config), build_params(config)
+    return config, make_choices(config), make_params(config)
 
 
 def script(speed: float = 2.5, offset: float = 0.0, thrust: float = 1.0, pitch_rate: float = 0.0):

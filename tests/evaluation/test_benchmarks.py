@@ -13,7 +13,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.vehicle.constants import values_of
-from quadjax.vehicle.registry import model
+from quadjax.vehicle.registry import base_model
 from tests.race.support import BLANK
 from tests.scripts import run_script
 
@@ -34,7 +34,7 @@ def test_limits_of_the_commands_are_within_the_nominal_range():
     drawn = {}
     for overrides in ([], ["vehicle=5inch"]):
         config = load_config(BLANK, overrides)
-        kind = model(config.vehicle.model)
+        kind = base_model(config.vehicle.model)
         nominal = kind.make_constants(config.vehicle.constants)
         factors = jnp.array([0.9, 1.2])
         wide = kind.make_constants({k: x * factors for k, x in values_of(nominal).items()})
@@ -44,7 +44,7 @@ def test_limits_of_the_commands_are_within_the_nominal_range():
     np.testing.assert_allclose(found.rpm_min, nominal.rpm_min * np.array([1.0, 1.2]))
     found, nominal = drawn["racing"]
     np.testing.assert_allclose(found.w_max, nominal.w_max * np.array([0.9, 1.2]), rtol=1e-6)
-    ratio = quantities(model("racing"), found)["thrust to weight"]
+    ratio = quantities(base_model("racing"), found)["thrust to weight"]
     # Thrust coefficient and square of the speed have the factor; so has gravity.
     np.testing.assert_allclose(ratio, 10.98 * np.array([0.9, 1.2]) ** 2, rtol=0.01)
 

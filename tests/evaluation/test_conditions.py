@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 import quadjax
+from quadjax.config.assembly import race_of
 from quadjax.config.loading import load_config
-from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
 from quadjax.core.resources import preset_names
 from quadjax.core.vectors import Rotors, Vec3

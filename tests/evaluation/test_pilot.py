@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.config.assembly import race_of
 from quadjax.config.loading import load_config
-from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.policy import pilot
 from quadjax.policy.inference import mean_action, policy_params
 from quadjax.race import environment, episode
-from quadjax.race.layout import Field, Layout
+from quadjax.race.layout import Layout, ObservedField
 from quadjax.training.build import initial_policy
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
@@ -99,7 +99,7 @@ def test_samples_are_about_the_mean():
     ],
 )
 def test_ranges_without_width_are_seen_as_zero(here, there, scale, offset):
-    field = Field("height", 1, "m", "")
+    field = ObservedField("height", 1, "m", "")
     shown, own = (Layout((dataclasses.replace(field, span=(s,)),)) for s in (here, there))
     found = pilot._observation_scale(shown, own)
     np.testing.assert_array_equal(found, [[scale], [offset]])

@@ -29,7 +29,7 @@ from quadjax.policy.file import Policy, layout_of_release_1
 from quadjax.policy.race import race_of_policy
 from quadjax.race.laps import Laps
 from quadjax.race.observations import HIGHEST_RPM, fields_of
-from quadjax.training.build import build_networks, policy_of
+from quadjax.training.build import make_networks, policy_of
 from quadjax.vehicle import motor
 from quadjax.vehicle.residual import Residual, write_residual
 
@@ -177,7 +177,7 @@ def random_states(rng, count, own, low, high):
 def untrained(config: Config) -> Policy:
     """A policy with random weights for the race of a config, by NumPy alone."""
     rng = np.random.default_rng(config.seed)
-    shapes = jax.eval_shape(build_networks(config).init, jax.random.key(0))
+    shapes = jax.eval_shape(make_networks(config).init, jax.random.key(0))
 
     def weights(x):
         scale = 1.0 / np.sqrt(x.shape[0]) if len(x.shape) == 2 else 0.0

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 import pytest
 
+from quadjax.config.assembly import make_vehicle
 from quadjax.config.loading import load_config
-from quadjax.config.race import build_vehicle
 from quadjax.core.errors import InputError
 from quadjax.export import emulator
 from quadjax.export.battery import FINE_BITS, make_battery
@@ -33,7 +33,7 @@ NOTHING = Rollouts(*(np.zeros((0, 1)),) * 3)
 
 @functools.cache
 def constants():
-    return build_vehicle(load_config("e2e")).constants
+    return make_vehicle(load_config("e2e")).constants
 
 
 @functools.cache

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.config.assembly import race_of
 from quadjax.config.loading import load_config
-from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.export import emulator
@@ -23,7 +23,7 @@ from quadjax.export.ranges import declare, parse_overrides
 from quadjax.export.report import float64_commands
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
-from quadjax.race.layout import Field, Layout
+from quadjax.race.layout import Layout, ObservedField
 from quadjax.race.observations import Observation, make_layout
 from quadjax.vehicle.motor import MODEL
 from tests.export.support import POLICIES, made_policy, named_network, observations, own_race
@@ -188,7 +188,7 @@ REFUSED = {  # what is refused, by its message
     "vehicle model 'own' has no C": lambda: changed(vehicle="own"),
     "65535": lambda: changed(command_high=np.full(4, 70000.0)),
     "observes 'wind' .2 numbers., which has no C": lambda: observing(
-        Field("wind", 2, "m/s", "body")
+        ObservedField("wind", 2, "m/s", "body")
     ),
     "velocity=30: expected a power of two": lambda: declare(MADE, {"velocity": 30.0}),
     "velocity=0: expected a power of two": lambda: declare(MADE, {"velocity": 0.0}),

@@ -6,8 +6,8 @@ import jax
 import numpy as np
 import pytest
 
+from quadjax.config.assembly import race_of
 from quadjax.config.loading import load_config
-from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.limits.bound import PointMass, largest_force, lower_bound, make_course, maximize

@@ -6,12 +6,12 @@ import jax
 import numpy as np
 import pytest
 
+from quadjax.config.assembly import race_of
 from quadjax.config.loading import load_config
-from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.race.rules import inside_opening
-from quadjax.race.track import TrackSection, build_track, gate, to_opening_frame
+from quadjax.race.track import TrackSection, gate, make_track, to_opening_frame
 
 pytest.importorskip("casadi")
 from quadjax.limits.collocation import Dynamics, Settings, solve  # noqa: E402
@@ -41,7 +41,7 @@ def _track():
         ([1.0, -1.0, -1.0], -57.0, [1.2, 1.0], 0.0, 0.0, "rectangle"),
     )
     names = ("position", "yaw_deg", "size", "roll_deg", "pitch_deg", "shape")
-    return build_track(TrackSection(gates=[dict(zip(names, row, strict=True)) for row in rows]))
+    return make_track(TrackSection(gates=[dict(zip(names, row, strict=True)) for row in rows]))
 
 
 def test_a_place_has_clearance_where_the_rules_let_it_pass():

@@ -6,8 +6,8 @@ import threading
 import numpy as np
 import pytest
 
+from quadjax.config.assembly import race_of
 from quadjax.config.loading import load_config
-from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
 from quadjax.limits.problem import ATTITUDE, VELOCITY, Flight, make_problem

@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 
+from quadjax.config.assembly import race_of
 from quadjax.config.loading import load_config
-from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
 from quadjax.limits.problem import (
     ATTITUDE,

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from quadjax import sources
-from quadjax.config import race
+from quadjax.config import assembly
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED, policy_names
@@ -39,7 +39,7 @@ def races(monkeypatch):
 
     for module, name in (
         (sources, "evaluate"),
-        (race, "race_of"),
+        (assembly, "race_of"),
         (convert, "own_race"),
         (race_source, "own_race"),
     ):

@@ -11,14 +11,13 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from quadjax.config.assembly import make_choices, make_params
 from quadjax.config.loading import load_config
-from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.race import environment, episode
-from quadjax.race.environment import Choices, RaceParams, RaceState
-from quadjax.race.laps import LapState, begin, score
-from quadjax.race.step import Outcome
-from quadjax.race.track import Track, TrackSection, build_track
+from quadjax.race.laps import LapState, begin, count_laps
+from quadjax.race.track import Track, TrackSection, make_track
+from quadjax.race.types import Choices, Outcome, RaceParams, RaceState
 from tests import reference as ref
 from tests.convert import state_of
 from tests.promotion import QUICK
@@ -35,7 +34,7 @@ def make_config(*overrides: str) -> Config:
 def make_race(*overrides: str) -> tuple[Choices, RaceParams]:
     config = make_config(*overrides)
     with jax.enable_x64(False):  # the same programs whatever the test's precision
-        return choices_of(config), build_params(config)
+        return make_choices(config), make_params(config)
 
 
 def track_of(
@@ -56,7 +55,7 @@ def track_of(
         )
     ]
     with jax.enable_x64(False):
-        return build_track(TrackSection(gates=sections, closed=closed))
+        return make_track(TrackSection(gates=sections, closed=closed))
 
 
 def race_state(kind: str, rows: np.ndarray, target: object = 0, step: object = 0) -> RaceState:
@@ -107,7 +106,7 @@ def compiled_observe(choices: Choices) -> Callable:
 @functools.cache
 def compiled_reset(choices: Choices) -> Callable:
     """States of the keys of one key, ``count`` of them."""
-    reset = jax.vmap(functools.partial(environment.reset, choices), in_axes=(None, 0))
+    reset = jax.vmap(functools.partial(episode.reset, choices), in_axes=(None, 0))
 
     @functools.partial(jax.jit, static_argnames="count", compiler_options=QUICK)
     def compiled(params: RaceParams, key: jax.Array, count: int) -> RaceState:
@@ -121,7 +120,7 @@ def first_score(
 ) -> LapState:
     """The race of one lap of four gates, of rows of motor-level drones, after its first step."""
     one = jax.jit(
-        lambda before, *after: score(begin(before, 1), *after, np.float32(0.01), 4),
+        lambda before, *after: count_laps(begin(before, 1), *after, np.float32(0.01), 4),
         compiler_options=QUICK,
     )
     return jax.tree.map(np.asarray, one(race_state("motor", rows, target), following, outcome))

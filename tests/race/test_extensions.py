@@ -11,12 +11,12 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
 from quadjax.core.vectors import safe_norm
-from quadjax.race import environment
+from quadjax.race import environment, observations, rewards
 from quadjax.race.laps import Laps, fly_race, lap_length, starting_states, time_limit
-from quadjax.race.layout import Field, Layout
+from quadjax.race.layout import Layout, ObservedField
 from quadjax.race.observations import make_layout
+from quadjax.race.randomization import Randomization
 from quadjax.race.rules import terminations_of
-from quadjax.race.starts import Randomization
 from quadjax.vehicle.constants import constant
 from quadjax.vehicle.motor import MODEL
 from quadjax.vehicle.protocol import Signal
@@ -26,6 +26,7 @@ from tests.race.support import (
     HOVER,
     by_rows,
     compiled_observe,
+    compiled_transition,
     first_score,
     level,
     make_race,
@@ -73,7 +74,7 @@ def test_a_rule_ends_the_episode_as_a_collision_does(races):
     terms = -2.0 * 0.01 * 4 * HOVER**2 + 0.5 * np.linalg.norm([*following.drone.velocity], axis=0)
     np.testing.assert_allclose(value[1], -10.0 + terms[1], atol=1e-5)
     assert not np.any(step(races[0], rows)[2].crashed)
-    crashes = first_score(rows, 0, following, outcome).crash
+    crashes = first_score(rows, 0, following, outcome).crash_code
     reasons = ("", *terminations_of(races[1][0].user_rules))
     assert [reasons[code] for code in crashes] == ["", "ended by ceiling"]
 
@@ -114,7 +115,7 @@ def height(view):
     return (-view.drone.position.z,)
 
 
-HEIGHT = Field("height", 1, "m", "", value=height)
+HEIGHT = ObservedField("height", 1, "m", "", value=height)
 
 
 def test_own_fields_are_appended_to_the_observation():
@@ -158,6 +159,19 @@ def test_own_objects_are_named_in_the_config():
     assert {name: float(x) for name, x in params.reward.terms.items()} == {f"{own}:speed": 0.5}
     with pytest.raises(InputError, match=r"rules.extra: .*:HEIGHT is .*expected a function"):
         make_race(f"rules.extra=[{own}:HEIGHT]")
+
+
+def test_an_entry_of_a_table_is_enough(monkeypatch):
+    """A field is observed. A reward term without a weight, a field of the section, is an error."""
+    monkeypatch.setattr(observations, "OBSERVATIONS", (*observations.OBSERVATIONS, HEIGHT))
+    observations.fields_of.cache_clear()
+    choices, params = make_race()
+    observations.fields_of.cache_clear()
+    assert choices.layout.names[-1] == "height"
+    monkeypatch.setitem(rewards.REWARDS, "height", rewards.Term(lambda step: -step.position.z))
+    state = race_state("motor", level(ref.GATES[:1], np.ones(3)), [0])
+    with pytest.raises(AttributeError, match="height"):
+        compiled_transition(choices)(params, state, np.zeros((1, 4), np.float32))
 
 
 def test_a_layout_survives_its_file():

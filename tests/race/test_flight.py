@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from quadjax.core.traced import with_leaves
-from quadjax.race.environment import RaceState, make_environment
+from quadjax.race.environment import make_environment
+from quadjax.race.types import RaceState
 from tests import reference as ref
 from tests.convert import residual_of, rows_of, state_of
 from tests.race.support import COURSE, by_rows, compiled_transition, make_race, race_state

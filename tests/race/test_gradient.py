@@ -10,7 +10,7 @@ from jax.flatten_util import ravel_pytree
 
 from quadjax.core.traced import with_leaves
 from quadjax.race import environment
-from quadjax.race.environment import RaceState
+from quadjax.race.types import RaceState
 from tests import reference as ref
 from tests.convert import residual_of, state_of
 from tests.promotion import QUICK

@@ -7,13 +7,13 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.config.race import choices_of
+from quadjax.config.assembly import make_choices
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors
 from quadjax.race import environment
 from quadjax.race.layout import push_past
-from quadjax.race.step import Step
 from quadjax.race.track import gates_ahead
+from quadjax.race.types import Step
 from tests import reference as ref
 from tests.promotion import QUICK
 from tests.race.support import (
@@ -269,4 +269,4 @@ def test_names_and_impossible_histories():
         config = make_config(
             f"vehicle={vehicle}", "observation.history={fields: [actuators], steps: 1}"
         )
-        assert choices_of(config).layout.names[-1] == f"{name}@4"
+        assert make_choices(config).layout.names[-1] == f"{name}@4"

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.config.race import build_params
+from quadjax.config.assembly import make_params
 from quadjax.config.schema import Randomization
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.racing import A2RL
@@ -93,7 +93,7 @@ def test_population_of_all_racing_drones():
 
 def test_the_width_scales_every_draw():
     half = make_config("randomization={all: 0.2, lag: 0.4, constants: {k_w: 0.1}, width: 0.5}")
-    spread = build_params(half).randomization
+    spread = make_params(half).randomization
     found = [float(getattr(spread, name)) for name in ("k_w", "tau", "k_x")]
     assert found == pytest.approx([0.05, 0.2, 0.1])
     choices, params = make_race(*A2RL_RACE, "randomization.population=monorace_fastest")
@@ -109,5 +109,5 @@ def test_the_width_scales_every_draw():
     assert np.ptp(whole) > 0.1 and float(params.population_width) == 1.0
     curriculum = "schedules.randomization.width={linear: [0, 1], until: 0.5}"
     config = make_config(*A2RL_RACE, "randomization.population=monorace_robust", curriculum)
-    assert float(build_params(config.at("randomization.width", 0.25)).population_width) == 0.25
+    assert float(make_params(config.at("randomization.width", 0.25)).population_width) == 0.25
     assert not Randomization(width=0.5).drawn and Randomization(lag=0.1).drawn

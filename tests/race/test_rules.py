@@ -11,8 +11,8 @@ from quadjax.core.vectors import Vec3
 from quadjax.race import rewards, rules
 from quadjax.race.environment import exact_rules
 from quadjax.race.rewards import REWARDS, Reward
-from quadjax.race.step import Step
-from quadjax.race.track import build_track, gate, to_opening_frame
+from quadjax.race.track import gate, make_track, to_opening_frame, unwrapped_turns
+from quadjax.race.types import Step
 from quadjax.vehicle.motor import MODEL
 from tests import reference as ref
 from tests.convert import rows_of, state_of, vec3
@@ -238,7 +238,7 @@ def test_every_limit_of_the_motion():
             row[COLUMNS[name]] = value
     for numbers, place in ((params, 1), (exact_rules(choices.model, params), 2)):
         following, value, outcome = step((choices, numbers), rows, target=1)
-        codes = first_score(rows, 1, following, outcome).crash
+        codes = first_score(rows, 1, following, outcome).crash_code
         for index, (case, code) in enumerate(zip(LIMITS, codes, strict=True)):
             assert REASONS[code] == case[place], case
             assert flags(outcome, index) - {YAW_RATE} == {case[place]} - {"", YAW_RATE}, case
@@ -408,7 +408,7 @@ ROUND = "{position: [0, 0, -2], pitch_deg: -90, size: [2, 2], shape: circle}"
 def test_tilt_and_shape_of_a_config():
     """A gate to dive through: the passage points down, the opening's height to the front."""
     config = make_config(f"track.gates=[{ROUND}, {{position: [1, 0, -1]}}]")
-    track = build_track(config.track)
+    track = make_track(config.track)
     opened = by_rows(lambda track, index, way: to_opening_frame(gate(track, index), way).array())
     for index, section in enumerate(config.track.gates):
         axes = opened(track, np.full(3, index, np.int32), vec3(np.eye(3, dtype=np.float32)))
@@ -417,7 +417,7 @@ def test_tilt_and_shape_of_a_config():
             np.testing.assert_allclose(axes[2], [1, 0, 0], atol=1e-6)
     np.testing.assert_array_equal(track.circle, [True, False])
     np.testing.assert_allclose([track.half_width, track.half_height], [[1, 0.5]] * 2)
-    assert build_track(make_config().track).attitude is None
+    assert make_track(make_config().track).attitude is None
 
 
 REFUSED = (
@@ -451,7 +451,7 @@ def test_a_course_ends_with_its_last_gate(course):
     assert np.all(value > 0)
     track = course[1].track
     np.testing.assert_allclose([x[3] for x in track.next_position], [5, 0, 0], atol=1e-6)
-    assert float(track.next_yaw[3]) == 0
+    assert float(track.next_yaw[3]) == float(unwrapped_turns(track)[3]) == 0
     race = first_score(rows, [2, 3], following, outcome)
     np.testing.assert_allclose(race.lap_end, [[0.0, 0.01]])
     np.testing.assert_array_equal(race.over, [False, True])

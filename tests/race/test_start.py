@@ -6,7 +6,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import cKDTree
 
-from quadjax.config.race import choices_of
+from quadjax.config.assembly import make_choices
 from quadjax.core.errors import InputError
 from quadjax.flights import Flight, Signal, save
 from quadjax.flights.flight import MOTION
@@ -188,7 +188,7 @@ def test_a_part_of_the_episodes_starts_in_recorded_states(tmp_path):
     flight, path = recorded(), tmp_path / "states.npz"
     save([flight], path)
     config = make_config(f"run.start_states={path}", "run.start_states_part=0.4")
-    state, rows = drawn(choices_of(config), training_params(config))
+    state, rows = drawn(make_choices(config), training_params(config))
     distance = np.linalg.norm(rows[:, None, ref.V] - flight["velocity"][None], axis=2)
     which, used = distance.argmin(axis=1), distance.min(axis=1) < 1e-5
     assert used.mean() == pytest.approx(0.4, abs=0.03)

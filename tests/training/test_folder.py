@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
+from quadjax.config.assembly import make_vehicle
 from quadjax.config.loading import load_config
-from quadjax.config.race import build_vehicle
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
 from quadjax.core.folders import claim, kind_of, replacement
@@ -164,7 +164,7 @@ def test_a_run_keeps_the_files_of_its_config(tmp_path):
     assert config.track.name == "mine" and config.vehicle.constants["tau"] == 0.05
     assert (moved / "inputs/residual.npz").read_bytes() == residual
     assert Policy.load(config.run.initial_policy).vehicle == "motor"
-    assert build_vehicle(config).residual is not None
+    assert make_vehicle(config).residual is not None
     check_same(config, moved)
     assert prepare_folder(config, moved, resume=True, overwrite=False) == config
     (moved / "notes.txt").write_text("mine")

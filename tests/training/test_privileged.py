@@ -4,16 +4,16 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.config.race import make_race as race_api
-from quadjax.config.race import race_of
+from quadjax.config.assembly import make_race as race_api
+from quadjax.config.assembly import race_of
 from quadjax.core.errors import InputError
 from quadjax.training.build import (
-    build_environment,
-    build_learner,
-    build_networks,
     input_scale,
+    make_learner,
+    make_networks,
     policy_of,
     privileged_constants,
+    training_environment,
     with_policy,
 )
 from tests.race.support import make_config
@@ -24,7 +24,7 @@ OWN = ("randomization={thrust: 0.2, lag: 0.1}", "observation.critic_constants=tr
 
 def test_the_observation_of_training_ends_with_the_drawn_constants():
     config, (plain, params) = make_config(*OWN), race_api(make_config(OWN[0]))
-    environment = build_environment(config)
+    environment = training_environment(config)
     assert privileged_constants(config) == (("k_w", 0.2), ("tau", 0.1))
     assert environment.observation_size == plain.observation_size + 2
     state = jax.jit(plain.reset)(params, jax.random.key(1))
@@ -39,7 +39,7 @@ def test_the_observation_of_training_ends_with_the_drawn_constants():
 
 def test_only_the_value_takes_them():
     config = make_config(*OWN, SMALL, "network.normalize=true")
-    networks = build_networks(config)
+    networks = make_networks(config)
     params = jax.jit(networks.init)(jax.random.key(0))
     seen = np.random.default_rng(1).normal(size=networks.observation_size).astype(np.float32)
     other = seen.copy()
@@ -56,8 +56,8 @@ def test_only_the_value_takes_them():
 
 def test_a_policy_with_a_critic_of_another_size_gives_its_policy_only():
     plain = make_config(OWN[0], SMALL)
-    policy = policy_of(plain, build_networks(plain).init(jax.random.key(3)), {})
-    params = build_networks(make_config(*OWN, SMALL)).init(jax.random.key(0))
+    policy = policy_of(plain, make_networks(plain).init(jax.random.key(3)), {})
+    params = make_networks(make_config(*OWN, SMALL)).init(jax.random.key(0))
     found = with_policy(params, policy, 1.0)
     assert found.value is params.value and policy.value is not None
     np.testing.assert_array_equal(found.policy[0][0], policy.layers[0][0])
@@ -74,7 +74,7 @@ def test_it_is_refused_where_nothing_is_drawn():
 @pytest.mark.parametrize("algorithm", ["ppo", "shac"])
 def test_both_learners_have_a_program_with_it(algorithm):
     config = make_config(*OWN, SMALL, f"learner.algorithm={algorithm}")
-    learner, params = build_learner(config), race_of(config)[1]
+    (learner, _), params = make_learner(config), race_of(config)[1]
     state = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
     after, _ = jax.eval_shape(learner.update, learner.hyper, params, state)
     assert jax.tree.structure(after) == jax.tree.structure(state)

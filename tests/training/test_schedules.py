@@ -4,10 +4,10 @@ import jax
 import numpy as np
 import pytest
 
+from quadjax.config.assembly import make_choices, make_params
 from quadjax.config.loading import load_config
-from quadjax.config.race import build_params, choices_of
 from quadjax.core.errors import InputError
-from quadjax.training.build import build_learner
+from quadjax.training.build import make_learner
 
 TINY = [
     "learner.num_envs=16",
@@ -21,9 +21,9 @@ TINY = [
 
 def at(config, *updates):
     """Hyperparameters and race after each number of updates, of 64 steps each."""
-    learner = build_learner(config)
+    learner, _ = make_learner(config)
     assert learner.steps_per_update == 64
-    program = jax.jit(lambda update: learner.hyper.at(update, None, build_params(config)))
+    program = jax.jit(lambda update: learner.hyper.at(update, None, make_params(config)))
     return [jax.device_get(program(np.int32(update))) for update in updates]
 
 
@@ -34,7 +34,7 @@ def tiny(name, *overrides):
 def test_the_default_preset_from_start_to_end():
     """Of 10 updates, yaw and pitch change from 1.25 to 3.125, the residual to 5.625."""
     config = tiny("e2e +residual", "observation.disturbance=estimated")
-    whole = build_params(config)
+    whole = make_params(config)
     kernel = np.asarray(whole.vehicle.residual.moment[-1][0])
     shares = {0: (0, 0), 1: (0, 0), 2: (0.4, 0), 4: (1, 0.35), 5: (1, 0.75), 6: (1, 1), 10: (1, 1)}
     for (update, (turned, residual)), (hyper, params) in zip(
@@ -75,7 +75,7 @@ def test_constants_and_randomization_can_be_scheduled():
     ((_, params),) = at(config, 5)
     assert float(params.vehicle.constants.tau) == pytest.approx(0.08)
     config = tiny("e2e", "schedules.randomization.drag={linear: [0, 0.2]}")
-    assert choices_of(config).randomize
+    assert make_choices(config).randomize
     ((_, params),) = at(config, 5)
     assert float(params.randomization.k_x) == pytest.approx(0.1)
 
@@ -91,4 +91,4 @@ def test_constants_and_randomization_can_be_scheduled():
 def test_only_numbers_of_training_can_be_scheduled(schedule, message):
     own = "reward.gate=3"
     with pytest.raises(InputError, match=message):
-        build_learner(tiny("e2e", f"schedules.{schedule}", own))
+        make_learner(tiny("e2e", f"schedules.{schedule}", own))

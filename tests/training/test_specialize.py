@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import quadjax
-from quadjax.config.race import make_race, race_of
+from quadjax.config.assembly import make_race, race_of
 from quadjax.core.errors import InputError
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy

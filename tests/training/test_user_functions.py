@@ -29,7 +29,10 @@ OWN = "tests.training.own"
             f"observation.extra=['{OWN}:THREE']",
             "observation field 'three' gives 3 numbers, expected one number (its size)",
         ),
-        (f"observation.extra=['{OWN}:vector']", f"{OWN}:vector is a function, expected a Field"),
+        (
+            f"observation.extra=['{OWN}:vector']",
+            f"{OWN}:vector is a function, expected a quadjax.Field",
+        ),
         (f"learner.algorithm={OWN}:NoLearner", "make() gives a NoneType, expected a quadjax.L"),
         (f"learner.algorithm={OWN}:NO_STATE", "NO_STATE: init gives ShapeDtypeStruct("),
         (f"learner.algorithm={OWN}:NO_METRICS", f"learner.algorithm {OWN}:NO_METRICS: "),

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.config.assembly import race_of
 from quadjax.config.loading import load_config
-from quadjax.config.race import race_of
 from quadjax.core.vectors import Rotors
 from quadjax.race.observations import HIGHEST_RPM
 from quadjax.vehicle import battery

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import quadjax
-from quadjax.config.race import race_of
+from quadjax.config.assembly import race_of
 from quadjax.core.vectors import Vec3
 from quadjax.race.environment import make_environment
 from quadjax.vehicle.registry import MODELS

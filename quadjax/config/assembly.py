@@ -12,28 +12,30 @@ from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
 from quadjax.core.traced import SectionType, as_leaves
-from quadjax.race.environment import Choices, RaceParams, make_environment
-from quadjax.race.layout import Field
+from quadjax.race.environment import make_environment
+from quadjax.race.layout import ObservedField
 from quadjax.race.observations import make_layout
+from quadjax.race.randomization import Disturbance
 from quadjax.race.rewards import REWARDS, Reward
 from quadjax.race.rules import Rules
-from quadjax.race.starts import FROM_GROUND, Disturbance, Start
-from quadjax.race.track import Track, build_track, build_tracks, inside_turn
+from quadjax.race.starts import FROM_GROUND, Start
+from quadjax.race.track import Track, inside_turn, make_track, make_tracks
+from quadjax.race.types import Choices, RaceParams
 from quadjax.vehicle import motor
 from quadjax.vehicle.battery import Battery, battery_params, limit_estimator
 from quadjax.vehicle.constants import replaced
 from quadjax.vehicle.estimator import EstimatorParams, estimator_params
 from quadjax.vehicle.protocol import Constants, VehicleModel, VehicleParams
-from quadjax.vehicle.registry import model
+from quadjax.vehicle.registry import base_model
 from quadjax.vehicle.residual import read_residual, scale_residual
 
 
-def vehicle_model_of(config: Config) -> VehicleModel:
+def vehicle_model(config: Config) -> VehicleModel:
     """The vehicle model, with a quaternion and disturbances where the config has them.
 
     The model ``motor`` always has disturbances, as its observation in the paper.
     """
-    base = model(config.vehicle.model)
+    base = base_model(config.vehicle.model)
     if config.vehicle.quaternion:
         base = base.with_options(quaternion=True)
     disturbed = (
@@ -46,10 +48,12 @@ def vehicle_model_of(config: Config) -> VehicleModel:
     return base
 
 
-def choices_of(config: Config) -> Choices:
+def make_choices(config: Config) -> Choices:
     """The static part, which selects code."""
-    vehicle, observed = vehicle_model_of(config), config.observation
-    extra = tuple(field for _, field in _user_objects("observation.extra", observed.extra, Field))
+    vehicle, observed = vehicle_model(config), config.observation
+    extra = tuple(
+        field for _, field in _user_objects("observation.extra", observed.extra, ObservedField)
+    )
     return Choices(
         model=vehicle,
         layout=make_layout(vehicle, observed, extra, battery=config.battery is not None),
@@ -70,17 +74,17 @@ def _user_objects(
     objects = tuple((name, load_object(name, key)) for name in names)
     for name, item in objects:
         if not (callable(item) if kind is None else isinstance(item, kind)):
-            wanted = "a function" if kind is None else f"a {kind.__name__}"
+            wanted = "a function" if kind is None else "a quadjax.Field"
             raise InputError(f"{key}: {name} is a {type(item).__name__}, expected {wanted}")
     return objects
 
 
 def _constants(config: Config, values: Mapping[str, float]) -> Constants:
     numbers = {name: jnp.asarray(value, jnp.float32) for name, value in values.items()}
-    return model(config.vehicle.model).make_constants(numbers)
+    return base_model(config.vehicle.model).make_constants(numbers)
 
 
-def build_vehicle(config: Config) -> VehicleParams:
+def make_vehicle(config: Config) -> VehicleParams:
     """The vehicle's constants and its residual, if it has one, scaled by ``residual_gain``.
 
     Raises:
@@ -95,15 +99,15 @@ def build_vehicle(config: Config) -> VehicleParams:
     return VehicleParams(constants, residual)
 
 
-def build_params(config: Config) -> RaceParams:
+def make_params(config: Config) -> RaceParams:
     """Every number of the race in training."""
-    vehicle, track = build_vehicle(config), build_track(config.track)
+    vehicle, track = make_vehicle(config), make_track(config.track)
     limits = config.training_limits
-    pitch = limits.largest_pitch_deg(vehicle_model_of(config))
+    pitch = limits.largest_pitch_deg(vehicle_model(config))
     tracks, limit = None, 0.0
     if config.randomization.tracks is not None:
-        tracks, limit = build_tracks(config.randomization.tracks)
-    spread = config.randomization.by_constant(model(config.vehicle.model))
+        tracks, limit = make_tracks(config.randomization.tracks)
+    spread = config.randomization.by_constant(base_model(config.vehicle.model))
     population = config.randomization.population
     return RaceParams(
         vehicle=vehicle,
@@ -166,13 +170,11 @@ def _mismatch(config: Config, vehicle: VehicleParams) -> Constants | None:
 
 def _estimator(config: Config, vehicle: VehicleParams) -> EstimatorParams | None:
     """The onboard estimator of the disturbance, where it is observed."""
-    vehicle_model = model(config.vehicle.model)
-    if config.observation.disturbance != "estimated" or not vehicle_model.can_be_disturbed:
+    model = base_model(config.vehicle.model)
+    if config.observation.disturbance != "estimated" or not model.can_be_disturbed:
         return None
     euler = config.vehicle.integrator == "euler"
-    return estimator_params(
-        vehicle_model, vehicle, 1.0 / config.rules.time_step, explicit_euler=euler
-    )
+    return estimator_params(model, vehicle, 1.0 / config.rules.time_step, explicit_euler=euler)
 
 
 def _battery(config: Config, vehicle: VehicleParams) -> Battery | None:
@@ -191,7 +193,7 @@ def _battery(config: Config, vehicle: VehicleParams) -> Battery | None:
 
 def race_of(config: Config) -> tuple[Choices, RaceParams]:
     """The race of a config: its static choices, and every number in it."""
-    return choices_of(config), build_params(config)
+    return make_choices(config), make_params(config)
 
 
 def make_race(config: Config | Path | str) -> tuple[Environment, RaceParams]:

@@ -15,7 +15,8 @@ from flax import struct
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.starts import Disturbance, RecordedStarts, Start
+from quadjax.race.randomization import Disturbance
+from quadjax.race.starts import RecordedStarts, Start
 from quadjax.race.track import Gate, Track
 from quadjax.vehicle.battery import Battery, BatteryState
 from quadjax.vehicle.estimator import EstimatorParams, EstimatorState
@@ -32,7 +33,11 @@ UserFunctions = tuple[tuple[str, Callable[["Step"], jax.Array]], ...]
 
 @dataclasses.dataclass(frozen=True)
 class Choices:
-    """Static settings of a race, set when the environment is built."""
+    """Static settings of a race, set when the environment is made.
+
+    A user's functions are named by the config's keys ``observation.extra`` (fields of ``layout``),
+    ``reward.terms`` (``user_terms``, with their weights) and ``rules.extra`` (``user_rules``).
+    """
 
     model: VehicleModel
     layout: "Layout"  # of the observation
@@ -52,7 +57,7 @@ class RaceParams(struct.PyTreeNode):
     depends on which numbers are None. As a leaf, a number that may be absent and is 0 is None, so
     that nothing is computed for it: ``rules.body_radius``, ``rules.gate_frame``,
     ``start.along_leg``, ``start.race`` and the optional terms of ``reward``, such as
-    ``reward.action_change`` (``leaves_without_zeros`` of ``quadjax.config.race``).
+    ``reward.action_change`` (``leaves_without_zeros`` of ``quadjax.config.assembly``).
     """
 
     vehicle: VehicleParams
@@ -146,7 +151,7 @@ class Outcome(struct.PyTreeNode):
         return self.crashed if self.finished is None else self.crashed | self.finished
 
     @property
-    def crash(self) -> jax.Array:
+    def crash_code(self) -> jax.Array:
         """The number (), from 1, of the first of ``names`` that applies; 0 where none does."""
         code = jnp.zeros((), jnp.int32)
         for index, name in reversed(list(enumerate(self.names, start=1))):
@@ -169,7 +174,8 @@ class Step(struct.PyTreeNode):
         params: the numbers of the race.
         state: the race before the step, or the one that is observed: target, clock, gates passed.
         gate: the target gate.
-        after: the vehicle's state after the step; None for an observation.
+        after: the vehicle's state after the step; None for an observation. For a reward term, a
+            state that is not finite is replaced by the one before the step.
         outcome: events of the step, for a reward term; None for others.
         action: (action_size,) as the policy gave it, for a reward term; None for others.
     """
