@@ -80,7 +80,7 @@ class Rules(Section):
 
 @register
 class TrainingLimits(Section):
-    """Limits that apply in training only."""
+    """Limits of training; the exact rules have only the pitch at which a model is singular."""
 
     episode_steps: Annotated[int, Unit("steps"), Traced()] = Field(
         1200, ge=1, le=10**6, description="time steps of an episode"

@@ -17,7 +17,7 @@ logging.getLogger("absl").setLevel(logging.CRITICAL)
 
 
 @struct.dataclass
-class Position:
+class RunState:
     """The progress of a run: what a checkpoint holds."""
 
     state: TrainState
@@ -27,8 +27,8 @@ class Position:
     steps: int = 0  # environment steps of the run that are done
     seconds: float = 0.0  # of training, summed over all times that the run was resumed
 
-    def after(self, progress: Progress, score: float, seconds: float) -> "Position":
-        """The position one chunk later, with the best parameters in the host's memory.
+    def after(self, progress: Progress, score: float, seconds: float) -> "RunState":
+        """The state one chunk later, with the best parameters in the host's memory.
 
         Of equal scores the later one counts as better.
 
@@ -40,13 +40,13 @@ class Position:
         best, best_score, best_steps = self.best, self.best_score, self.best_steps
         if score <= best_score or math.isinf(best_score):
             best, best_score, best_steps = progress.state.evaluated, score, progress.steps
-        return Position(
+        return RunState(
             progress.state, jax.device_get(best), best_score, best_steps, progress.steps, seconds
         )
 
 
 class Checkpoints:
-    """The latest checkpoint of a run: its position, in ``folder/latest``."""
+    """The latest checkpoint of a run: its ``RunState``, in ``folder/latest``."""
 
     def __init__(self, folder: Path | str) -> None:
         """Open the folder, which is created if needed."""
@@ -62,17 +62,17 @@ class Checkpoints:
         """Whether there is a checkpoint to resume from."""
         return self._manager.latest_step() is not None
 
-    def save(self, position: Position) -> None:
-        """Save the position.
+    def save(self, run_state: RunState) -> None:
+        """Save the state of a run.
 
         Raises:
             InputError: it cannot be written; the last checkpoint stays.
         """
         manager = self._manager
-        if manager.latest_step() == position.steps:
+        if manager.latest_step() == run_state.steps:
             return
         try:
-            manager.save(position.steps, args=ocp.args.StandardSave(position))
+            manager.save(run_state.steps, args=ocp.args.StandardSave(run_state))
             manager.wait_until_finished()
         except Exception as error:  # Orbax and TensorStore raise many kinds
             raise InputError(
@@ -80,18 +80,18 @@ class Checkpoints:
                 "last one stays"
             ) from error
 
-    def restore(self, like: Position) -> Position:
-        """The position of the checkpoint.
+    def restore(self, like: RunState) -> RunState:
+        """The state in the checkpoint.
 
         Args:
-            like: the first position of a run of the same config, for shapes and devices.
+            like: the first state of a run of the same config, for shapes and devices.
 
         Raises:
             InputError: the checkpoint is damaged.
         """
         manager, step = self._manager, self._manager.latest_step()
         try:
-            restored: Position = manager.restore(step, args=ocp.args.StandardRestore(like))
+            restored: RunState = manager.restore(step, args=ocp.args.StandardRestore(like))
         except Exception as error:  # Orbax raises many kinds
             raise InputError(
                 f"{manager.directory}: checkpoint {step} cannot be read ({_reason(error)}): "

@@ -18,7 +18,7 @@ from quadjax.learners.loop import Row
 from quadjax.policy.file import Policy
 
 if TYPE_CHECKING:  # of Orbax, which takes a second to import
-    from quadjax.training.checkpoint import Position
+    from quadjax.training.checkpoint import RunState
 
 NUMBER, OPTIONAL_NUMBER = int | float, int | float | None
 SUMMARY = {  # keys of summary.json and the types of their values
@@ -104,21 +104,21 @@ def is_finished(folder: Path) -> bool:
 
 
 def write_summary(
-    config: Config, folder: Path, position: "Position", devices: int, finished: bool
+    config: Config, folder: Path, run_state: "RunState", devices: int, finished: bool
 ) -> None:
-    """Write ``summary.json`` of a run at a position, ``finished`` if all steps were trained."""
+    """Write ``summary.json`` of a run, ``finished`` if all steps were trained."""
     rows = saved_rows(folder / "metrics.csv")
-    scores = (position.best_score, rows[-1]["lap_total"] if rows else math.inf)
+    scores = (run_state.best_score, rows[-1]["lap_total"] if rows else math.inf)
     best, last = (round(x, 3) if math.isfinite(x) else None for x in scores)
     summary = {
         "name": config.name,
         "seed": config.seed,
         "finished": finished,
-        "steps": position.steps,
+        "steps": run_state.steps,
         "devices": devices,
-        "seconds": round(position.seconds, 1),
+        "seconds": round(run_state.seconds, 1),
         "best_lap_total": best,
-        "best_steps": position.best_steps,
+        "best_steps": run_state.best_steps,
         "last_lap_total": last,
         "peak_memory_mib": peak_memory_mib(),
         "provenance": provenance(config, folder / "policy.npz"),

@@ -32,7 +32,7 @@ from quadjax.training.build import (
     trained_policy,
     training_params,
 )
-from quadjax.training.checkpoint import Checkpoints, Position
+from quadjax.training.checkpoint import Checkpoints, RunState
 from quadjax.training.folder import FILES, KIND, prepare_folder
 from quadjax.training.inputs import check_functions, check_learner
 from quadjax.training.progress import TrainingProgress
@@ -137,52 +137,52 @@ def _run(
     checkpoints = Checkpoints(folder / "checkpoints")
     fly = make_flights(job.config, job.params)
     chunk, first = _compile(job, fly, stop)
-    position = Position(state=first, best=jax.device_get(first.evaluated))
+    run_state = RunState(state=first, best=jax.device_get(first.evaluated))
     if resume and checkpoints.exists:
-        position = checkpoints.restore(position)
-        started = time.monotonic() - position.seconds
+        run_state = checkpoints.restore(run_state)
+        started = time.monotonic() - run_state.seconds
     elif resume and display is not None:
         display.note(f"{folder}: no checkpoint to resume from, starting a new run")
-    metrics = MetricsFile(folder, position.steps, job.config.run.tensorboard)
+    metrics = MetricsFile(folder, run_state.steps, job.config.run.tensorboard)
     saved, advise_at = time.monotonic(), max(ADVISE_AFTER * job.plan.steps, FEW_STEPS)
-    chunks = train_chunks(chunk, job.params, position.state, job.plan, position.steps)
+    chunks = train_chunks(chunk, job.params, run_state.state, job.plan, run_state.steps)
     while not stop.is_set() and (progress := next(chunks, None)) is not None:
         laps = fly(progress.state.evaluated)
-        position = position.after(progress, laps.score, time.monotonic() - started)
+        run_state = run_state.after(progress, laps.score, time.monotonic() - started)
         row = {
             "steps": progress.steps,
-            "seconds": position.seconds,
+            "seconds": run_state.seconds,
             "steps_per_second": progress.steps_per_second,
             "lap_total": laps.score,
-            "best_lap_total": position.best_score,
+            "best_lap_total": run_state.best_score,
             **progress.row,
             **gap(job.config, laps),
         }
         metrics.write(row)
         if display is not None:
             display.show(row)
-            if progress.steps >= advise_at and not math.isfinite(position.best_score):
+            if progress.steps >= advise_at and not math.isfinite(run_state.best_score):
                 advise_at = math.inf
                 display.note(no_lap(laps.crashes, progress.steps))
         if enough is not None and enough(row):
             break
         late = time.monotonic() - saved > job.config.run.checkpoint_seconds
-        if late and position.steps < job.plan.steps:
-            _save(job, folder, checkpoints, position)
+        if late and run_state.steps < job.plan.steps:
+            _save(job, folder, checkpoints, run_state)
             saved = time.monotonic()
-    _save(job, folder, checkpoints, position)
+    _save(job, folder, checkpoints, run_state)
     checkpoints.close()
     metrics.close()
 
 
-def _save(job: _Job, folder: Path, checkpoints: Checkpoints, position: Position) -> None:
+def _save(job: _Job, folder: Path, checkpoints: Checkpoints, run_state: RunState) -> None:
     """Write the checkpoint, the best and the last policy, and the summary."""
-    steps, last = position.steps, jax.device_get(position.state.evaluated)
-    checkpoints.save(position)
-    best = trained_policy(job.config, position.best, position.best_steps or steps)
+    steps, last = run_state.steps, jax.device_get(run_state.state.evaluated)
+    checkpoints.save(run_state)
+    best = trained_policy(job.config, run_state.best, run_state.best_steps or steps)
     best.save(folder / "policy.npz")
     trained_policy(job.config, last, steps).save(folder / "policy_last.npz")
-    write_summary(job.config, folder, position, job.mesh.size, steps >= job.plan.steps)
+    write_summary(job.config, folder, run_state, job.mesh.size, steps >= job.plan.steps)
 
 
 def _compile(

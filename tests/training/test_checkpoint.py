@@ -10,17 +10,17 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.learners.loop import Progress
 from quadjax.learners.state import ActorCritic
-from quadjax.training.checkpoint import Checkpoints, Position
+from quadjax.training.checkpoint import Checkpoints, RunState
 
 
-def position(steps):
+def run_state(steps):
     parameters = ActorCritic(jnp.ones(3), jnp.ones(3), jnp.zeros(4))
     state = {"params": jnp.arange(3.0), "key": jax.random.key(7)}
-    return Position(state=state, best=parameters, steps=steps, best_score=15.0, best_steps=100)
+    return RunState(state=state, best=parameters, steps=steps, best_score=15.0, best_steps=100)
 
 
 def test_the_best_policy_is_the_latest_of_equal_scores():
-    found, kept = Position(state=None, best="none"), []
+    found, kept = RunState(state=None, best="none"), []
     for chunk, score in enumerate([np.inf, 15.0, 14.0, 14.0, 16.0, np.inf]):
         state = types.SimpleNamespace(evaluated=str(chunk))
         progress = Progress(state, 100 * (chunk + 1), {}, 1.0)
@@ -33,9 +33,9 @@ def test_the_best_policy_is_the_latest_of_equal_scores():
 def test_a_position_is_restored(tmp_path):
     checkpoints = Checkpoints(tmp_path)
     assert not checkpoints.exists
-    checkpoints.save(position(2))
-    checkpoints.save(position(3))
-    found = checkpoints.restore(position(0))
+    checkpoints.save(run_state(2))
+    checkpoints.save(run_state(3))
+    found = checkpoints.restore(run_state(0))
     assert (found.steps, found.best_score, found.best_steps) == (3, 15.0, 100)
     assert jnp.array_equal(found.state["params"], jnp.arange(3.0))
     assert jax.random.key_data(found.state["key"]).tolist() == [0, 7]
@@ -45,15 +45,15 @@ def test_a_position_is_restored(tmp_path):
 
 def test_a_full_disk_is_one_line_and_the_last_checkpoint_stays(tmp_path, monkeypatch):
     checkpoints = Checkpoints(tmp_path)
-    checkpoints.save(position(1))
+    checkpoints.save(run_state(1))
 
     def full(*arguments, **named):
         raise ValueError("RESOURCE_EXHAUSTED: No space left on device\nmany lines")
 
     monkeypatch.setattr(type(checkpoints._manager), "save", full)
     with pytest.raises(InputError, match="cannot be written .*No space left") as caught:
-        checkpoints.save(position(2))
+        checkpoints.save(run_state(2))
     assert "\n" not in str(caught.value)
     monkeypatch.undo()
-    assert checkpoints.restore(position(0)).steps == 1
+    assert checkpoints.restore(run_state(0)).steps == 1
     checkpoints.close()
