@@ -12,13 +12,12 @@ from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
 from quadjax.core.traced import SectionType, as_leaves
+from quadjax.race.draws import FROM_GROUND, Disturbance, Start
 from quadjax.race.environment import make_environment
 from quadjax.race.layout import ObservedField
 from quadjax.race.observations import make_layout
-from quadjax.race.randomization import Disturbance
 from quadjax.race.rewards import REWARDS, Reward
 from quadjax.race.rules import Rules
-from quadjax.race.starts import FROM_GROUND, Start
 from quadjax.race.track import Track, inside_turn, make_track, make_tracks
 from quadjax.race.types import Choices, RaceParams
 from quadjax.vehicle import motor

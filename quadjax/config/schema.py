@@ -23,11 +23,10 @@ from quadjax.core.yaml_files import to_yaml
 from quadjax.learners.ppo import PPO
 from quadjax.learners.schedules import Curriculum, Schedule
 from quadjax.learners.section import LearnerSection, Network
-from quadjax.race.observations import Observation
-from quadjax.race.randomization import Disturbance, Randomization
+from quadjax.race.draws import Disturbance, Randomization, Start
+from quadjax.race.layout import Observation
 from quadjax.race.rewards import Reward
 from quadjax.race.rules import Rules, TrainingLimits
-from quadjax.race.starts import Start
 from quadjax.race.track import TrackSection
 from quadjax.vehicle.battery import BatteryConfig
 

@@ -8,13 +8,7 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Policy
 from quadjax.race.layout import LAST_ACTION, Layout, split_name
-from quadjax.race.observations import (
-    CONSTANTS,
-    DISTURBANCES,
-    HIGHEST_RPM,
-    NEXT_FIELDS,
-    fields_of,
-)
+from quadjax.race.observations import CONSTANTS, DISTURBANCES, HIGHEST_RPM, NEXT_FIELDS, fields_of
 from quadjax.race.track import Track, gates_ahead, unwrapped_turns
 from quadjax.vehicle.registry import MODELS
 

@@ -22,8 +22,8 @@ from quadjax.core.resources import find_policy, policy_names
 from quadjax.core.sections import LARGEST, Field, Section, validate
 from quadjax.policy import inference
 from quadjax.policy.network_files import SUFFIXES, Layers
-from quadjax.race.layout import Layout, ObservedField
-from quadjax.race.observations import DISTURBANCES, Observation, Source, make_layout
+from quadjax.race.layout import Layout, Observation, ObservedField, Source
+from quadjax.race.observations import DISTURBANCES, make_layout
 from quadjax.vehicle.registry import MODELS
 from quadjax.vehicle.residual import Residual, from_arrays, to_arrays
 

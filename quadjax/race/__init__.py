@@ -5,6 +5,6 @@ state of a race, and one ``Step`` of it; ``rules`` and ``rewards`` the tables of
 ``Step``, ``TERMINATIONS`` and ``REWARDS``; ``layout`` what an ``ObservedField`` is (its value and
 its scale), how a layout of fields gives the inputs of a network, and the history; ``observations``
 the table ``OBSERVATIONS`` of fields; ``environment.transition`` simulates a step and calls them.
-These seven are the race. Next to them, ``starts``, ``randomization`` and ``episode`` say how an
-episode begins, ``laps`` times laps by the exact rules, and ``random_track`` makes tracks.
+These seven are the race. Next to them, ``draws`` and ``episode`` say how an episode begins,
+``laps`` times laps by the exact rules, and ``random_track`` makes tracks.
 """

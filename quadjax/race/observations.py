@@ -11,113 +11,33 @@ after a gate. At the start of an episode all earlier states are the first one.
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
 
 from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
-from quadjax.core.sections import Code, Field, Section
 from quadjax.core.vectors import Vec3, between
-from quadjax.race.layout import LAST_ACTION, Bounds, Layout, Numbers, ObservedField, delayed
-from quadjax.race.track import Span, gates_ahead, pick, to_gate_frame, unwrapped_turns
+from quadjax.race.layout import (
+    ESTIMATED,
+    LAST_ACTION,
+    NONE,
+    PUBLISHED,
+    Bounds,
+    Layout,
+    Numbers,
+    Observation,
+    ObservedField,
+    Source,
+    delayed,
+)
+from quadjax.race.track import gates_ahead, pick, to_gate_frame, unwrapped_turns
 from quadjax.race.types import RaceParams, Step
 from quadjax.vehicle.battery import LOWEST, highest_rpm
 from quadjax.vehicle.protocol import VehicleModel
 
 HIGHEST_RPM, CONSTANTS, MOST_AHEAD = "highest_rpm", "constants", 4
 ACTUATORS = "actuators"  # in a history: the field of the model's actuators, whatever its name
-Source = Literal["ground_truth", "estimated", "none"]  # of an observed disturbance or limit
-ESTIMATED: Source = "estimated"
-NONE: Source = "none"
-
-
-class History(Section):
-    """Fields of the observation that are also observed as they were in earlier steps."""
-
-    fields: tuple[str, ...] = Field(
-        (),
-        max_length=6,
-        description="names of observed fields: position, velocity, attitude (or rotation), rates, "
-        "actuators (or their own name: rpm, rotor_speed, thrust), or last_action",
-    )
-    steps: int = Field(4, ge=1, le=16, description="number of earlier values of each")
-    every: int = Field(
-        4,
-        ge=1,
-        le=16,
-        description="control steps from one to the next; steps * every is at most 64",
-    )
-
-    @property
-    def lags(self) -> tuple[int, ...]:
-        """How many steps before each of the values is, the latest first."""
-        return tuple(self.every * (i + 1) for i in range(self.steps))
-
-
-class Observation(Section):
-    """What the policy observes."""
-
-    disturbance: Source = Field(
-        "ground_truth",
-        description="source of the observed external disturbance: the simulator, the onboard "
-        "estimator, or zeros",
-    )
-    highest_rpm: Source = Field(
-        "estimated",
-        description="source of the observed limit of the propeller speeds, with a battery: as of "
-        "disturbance; none: it is not observed",
-    )
-    attitude: Literal["euler", "rotation"] = Field(
-        "euler",
-        description="roll, pitch and the yaw relative to the gate (3), or the body's x and z axes "
-        "in the gate's frame (6), which have no singularity",
-    )
-    gates_ahead: int = Field(
-        1,
-        ge=1,
-        le=4,
-        description="number of gates after the target whose position and yaw are observed",
-    )
-    last_action: bool = Field(
-        False, description="observe the action of the step before, -1 to 1; 0 at the start"
-    )
-    actuators: bool = Field(
-        True,
-        description="observe the actuators' state; false: for drones that do not measure it",
-    )
-    actuator_range: Span | None = Field(
-        None,
-        description="actuator states that are observed as -1 and 1, in the model's unit; null: "
-        "their nominal range (arXiv 2504.21586: [0, 3000] rad/s)",
-    )
-    wrap_next_yaw: bool = Field(
-        True,
-        description="wrap the next gate's relative yaw to +-180 deg; the authors' code does not",
-    )
-    history: History | None = Field(
-        None,
-        description="earlier values that are observed too: {fields: [rates, rpm], steps: 4, "
-        "every: 4} for those of 4, 8, 12 and 16 steps before; at a start, the first ones; null: "
-        "none",
-    )
-    constants: bool = Field(
-        False,
-        description="the policy observes the constants of the drone that randomization draws: for "
-        "drones whose constants are known",
-    )
-    critic_constants: bool = Field(
-        False,
-        description="the critic, not the policy, also observes the constants that randomization "
-        "draws; the policy file then has no critic",
-    )
-    extra: Annotated[tuple[str, ...], Code()] = Field(
-        (), max_length=32, description="further fields, each the module:FIELD of your own Field"
-    )
-
-
-PUBLISHED = Observation()
 
 # Values: functions of the step, whose state and gate are those that are observed.
 
@@ -151,6 +71,14 @@ def _rotation(step: Step) -> Numbers:
     rows = (g.cos_yaw, g.sin_yaw, zero), (-g.sin_yaw, g.cos_yaw, zero), (zero, zero, one)
     in_body = [step.drone.to_body(Vec3(*row)) for row in rows]
     return [axis.x for axis in in_body] + [axis.z for axis in in_body]
+
+
+def _next_position(step: Step) -> Numbers:
+    return step.gate.next_position.components()
+
+
+def _next_yaw(step: Step) -> Numbers:
+    return (step.gate.next_yaw,)
 
 
 def _next_yaw_unwrapped(step: Step) -> Numbers:
@@ -244,6 +172,11 @@ DISTURBANCES = {"moment_ext": ("moment_x", "moment_y", "moment_z"), "force_ext":
 NEXT_FIELDS = tuple(_beyond(count) for count in range(2, MOST_AHEAD + 1))
 
 
+def _is(key: str, value: object) -> Callable[[Observation, VehicleModel, bool], bool]:
+    """A field's ``when``: a key of the section has this value."""
+    return lambda observed, *_: getattr(observed, key) == value
+
+
 # Fields that depend on the vehicle model or on the source of their numbers.
 
 
@@ -258,15 +191,8 @@ def _actuators(model: VehicleModel, observed: Observation) -> ObservedField:
             return model.actuator_range(params.vehicle.constants)
         return (jnp.float32(span[0]),) * size, (jnp.float32(span[1]),) * size
 
-    return ObservedField(
-        *model.actuators,
-        "body",
-        2.0,
-        value,
-        scale,
-        has_history=True,
-        when=lambda observed, *_: observed.actuators,
-    )
+    numbers = (*model.actuators, "body", 2.0, value, scale)
+    return ObservedField(*numbers, has_history=True, when=_is("actuators", True))
 
 
 def _external(
@@ -281,8 +207,11 @@ def _external(
     def width(_: VehicleModel, params: RaceParams) -> Bounds:
         return None, [getattr(params.observed_disturbance, key) for key in keys]
 
-    of_model = lambda observed, model, battery: model.disturbed  # noqa: E731
-    return ObservedField(name, len(axes), unit, "body", 2.0, value, width, source, when=of_model)
+    return ObservedField(
+        name,
+        *(len(axes), unit, "body", 2.0, value, width, source),
+        when=lambda observed, model, battery: model.disturbed,
+    )
 
 
 # Every field, in the order of an observation, or a function ``(model, observed) -> field``. A race
@@ -298,7 +227,7 @@ OBSERVATIONS: tuple[ObservedField | Callable[[VehicleModel, Observation], Observ
         4.0,
         _attitude,
         has_history=True,
-        when=lambda observed, *_: observed.attitude == "euler",
+        when=_is("attitude", "euler"),
     ),
     ObservedField(
         "rotation",
@@ -308,64 +237,36 @@ OBSERVATIONS: tuple[ObservedField | Callable[[VehicleModel, Observation], Observ
         2.0,
         _rotation,
         has_history=True,
-        when=lambda observed, *_: observed.attitude == "rotation",
+        when=_is("attitude", "rotation"),
     ),
     ObservedField("rates", 3, "rad/s", "body", 16.0, _rates, has_history=True),
     _actuators,
-    ObservedField(
-        "next_position", 3, "m", "gate", 8.0, lambda s: s.gate.next_position.components()
-    ),
-    ObservedField(
-        "next_yaw",
-        1,
-        "rad",
-        "gate",
-        4.0,
-        lambda step: (step.gate.next_yaw,),
-        when=lambda observed, *_: observed.wrap_next_yaw,
-    ),
+    ObservedField("next_position", 3, "m", "gate", 8.0, _next_position),
+    ObservedField("next_yaw", 1, "rad", "gate", 4.0, _next_yaw, when=_is("wrap_next_yaw", True)),
     ObservedField(
         "next_yaw_unwrapped",
-        1,
-        "rad",
-        "gate",
-        8.0,
-        _next_yaw_unwrapped,
-        when=lambda observed, *_: not observed.wrap_next_yaw,
+        *(1, "rad", "gate", 8.0, _next_yaw_unwrapped),
+        when=_is("wrap_next_yaw", False),
     ),
     *(field for pair in NEXT_FIELDS for field in pair),
     lambda model, _: ObservedField(
         LAST_ACTION,
-        model.action_size,
-        "",
-        "",
-        1.0,
-        _last_action,
-        _command_range,
+        *(model.action_size, "", "", 1.0, _last_action, _command_range),
         has_history=True,
-        when=lambda observed, *_: observed.last_action,
+        when=_is("last_action", True),
     ),
     functools.partial(_external, "moment_ext", "N m", "xyz"),
     functools.partial(_external, "force_ext", "m/s^2", "z"),
     lambda _, observed: ObservedField(
         HIGHEST_RPM,
-        1,
-        "rpm",
-        "body",
-        2.0,
-        functools.partial(_highest_rpm, observed.highest_rpm),
-        _limit_range,
+        *(1, "rpm", "body", 2.0, functools.partial(_highest_rpm, observed.highest_rpm)),
+        scale=_limit_range,
         when=lambda observed, _, battery: battery and observed.highest_rpm != NONE,
     ),
     lambda model, _: ObservedField(
         CONSTANTS,
-        len(model.constant_names),
-        "",
-        "",
-        8.0,
-        _constants,
-        _constant_range,
-        when=lambda observed, *_: observed.constants,
+        *(len(model.constant_names), "", "", 8.0, _constants, _constant_range),
+        when=_is("constants", True),
     ),
 )
 

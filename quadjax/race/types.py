@@ -15,8 +15,7 @@ from flax import struct
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.randomization import Disturbance
-from quadjax.race.starts import RecordedStarts, Start
+from quadjax.race.draws import Disturbance, RecordedStarts, Start
 from quadjax.race.track import Gate, Track
 from quadjax.vehicle.battery import Battery, BatteryState
 from quadjax.vehicle.estimator import EstimatorParams, EstimatorState

@@ -13,8 +13,8 @@ from quadjax.flights.files import load
 from quadjax.flights.flight import MOTION, Flight
 from quadjax.learners.parallel import repeat
 from quadjax.learners.state import Learner, TrainState
+from quadjax.race.draws import RecordedStarts
 from quadjax.race.environment import make_environment
-from quadjax.race.starts import RecordedStarts
 from quadjax.race.types import RaceParams
 from quadjax.vehicle.protocol import Motion
 from quadjax.vehicle.registry import base_model

@@ -23,8 +23,8 @@ from quadjax.export.ranges import declare, parse_overrides
 from quadjax.export.report import float64_commands
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
-from quadjax.race.layout import Layout, ObservedField
-from quadjax.race.observations import Observation, make_layout
+from quadjax.race.layout import Layout, Observation, ObservedField
+from quadjax.race.observations import make_layout
 from quadjax.vehicle.motor import MODEL
 from tests.export.support import POLICIES, made_policy, named_network, observations, own_race
 

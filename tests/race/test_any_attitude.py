@@ -7,6 +7,7 @@ import pytest
 
 from quadjax.core.vectors import Vec3
 from quadjax.race import environment
+from quadjax.race.types import RaceState
 from quadjax.vehicle.protocol import Motion
 from tests import reference as ref
 from tests.promotion import QUICK
@@ -36,7 +37,7 @@ def states(race, attitudes):
         motion = Motion(*(Vec3.of(x) for x in (still[0], still[1], euler, still[3])))
         drone = choices.model.hover(constants, motion)
         zero = jnp.zeros((), jnp.int32)
-        return environment.RaceState(drone, zero, zero, zero, None)
+        return RaceState(drone, zero, zero, zero, None)
 
     hover = jax.jit(jax.vmap(one, in_axes=(None, 0)), compiler_options=QUICK)
     found = hover(params.vehicle.constants, np.asarray(attitudes, np.float32))

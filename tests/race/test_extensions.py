@@ -12,10 +12,10 @@ from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
 from quadjax.core.vectors import safe_norm
 from quadjax.race import environment, observations, rewards
+from quadjax.race.draws import Randomization
 from quadjax.race.laps import Laps, fly_race, lap_length, starting_states, time_limit
 from quadjax.race.layout import Layout, ObservedField
 from quadjax.race.observations import make_layout
-from quadjax.race.randomization import Randomization
 from quadjax.race.rules import terminations_of
 from quadjax.vehicle.constants import constant
 from quadjax.vehicle.motor import MODEL
