@@ -16,7 +16,6 @@ from quadjax.race.draws import FROM_GROUND, Disturbance, Start
 from quadjax.race.environment import make_environment
 from quadjax.race.layout import ObservedField
 from quadjax.race.observations import make_layout
-from quadjax.race.rewards import REWARDS, Reward
 from quadjax.race.rules import Rules
 from quadjax.race.track import Track, inside_turn, make_track, make_tracks
 from quadjax.race.types import Choices, RaceParams
@@ -111,10 +110,10 @@ def make_params(config: Config) -> RaceParams:
     return RaceParams(
         vehicle=vehicle,
         track=track,
-        reward=_reward(config),
-        rules=_rules(config, limit),
+        reward=_leaves(config, "reward", config.reward),
+        rules=_leaves(config, "rules", _rules(config, limit)),
         training_limits=as_leaves(limits.replace(pitch_deg=pitch)),
-        start=_start(config, track),
+        start=_leaves(config, "start", _start(config, track)),
         disturbance=as_leaves(config.disturbance),
         randomization=_constants(config, spread),
         tracks=tracks,
@@ -126,37 +125,27 @@ def make_params(config: Config) -> RaceParams:
     )
 
 
-def leaves_without_zeros(
-    config: Config, name: str, section: SectionType, optional: Iterable[str]
-) -> SectionType:
-    """A section as leaves; an optional number that is 0 becomes None: nothing is computed.
-
-    Not so the number of a key ``name.field`` that a schedule changes.
-    """
-    fixed = [key for key in optional if f"{name}.{key}" not in config.schedules]
-    return as_leaves(section, [key for key in fixed if getattr(section, key) == 0.0])
-
-
-def _reward(config: Config) -> Reward:
-    optional = [key for key, term in REWARDS.items() if term.optional]
-    return leaves_without_zeros(config, "reward", config.reward, optional)
+def _leaves(config: Config, name: str, section: SectionType) -> SectionType:
+    """A section as leaves, with the numbers that a schedule changes also where they are 0."""
+    prefix = f"{name}."
+    scheduled = [key.removeprefix(prefix) for key in config.schedules if key.startswith(prefix)]
+    return as_leaves(section, scheduled)
 
 
 def _rules(config: Config, limit: float) -> Rules:
     """The rules with room for random tracks, which need a position limit of ``limit``, m."""
     rules = config.rules
-    if rules.position_limit is not None:
-        rules = rules.replace(position_limit=max(rules.position_limit, limit))
-    return leaves_without_zeros(config, "rules", rules, ("body_radius", "gate_frame"))
+    if rules.position_limit is None:
+        return rules
+    return rules.replace(position_limit=max(rules.position_limit, limit))
 
 
 def _start(config: Config, track: Track) -> Start:
     """The starts; a ``race`` of None is from the ground where the race starts there, else 0."""
-    start = config.start
-    if start.race is None:
-        on_ground = track.start is not None and track.start.on_ground
-        start = start.replace(race=FROM_GROUND if on_ground else 0.0)
-    return leaves_without_zeros(config, "start", start, ("along_leg", "race"))
+    if config.start.race is not None:
+        return config.start
+    on_ground = track.start is not None and track.start.on_ground
+    return config.start.replace(race=FROM_GROUND if on_ground else 0.0)
 
 
 def _mismatch(config: Config, vehicle: VehicleParams) -> Constants | None:

@@ -20,14 +20,18 @@ class Traced:
     """Marks a field of a whole number that is a leaf: ``Annotated[int, Traced()]``."""
 
 
+@dataclasses.dataclass(frozen=True)
+class UnusedAtZero:
+    """Marks a field whose number is not used where it is 0; as a leaf it is None then."""
+
+
 def register(section: type[SectionType]) -> type[SectionType]:
     """Register a section as a pytree whose leaves are its numbers.
 
     These are the fields of floats, of tuples and mappings of floats, and of whole numbers marked
-    ``Traced``. The path of a leaf is the name of its field. A value of None has no leaf: a
-    number that may be absent is None where it is not used, also where its type is float (see
-    ``as_leaves``). The static part (sizes, flags, names) is compared as a whole: sections that
-    differ in it are different programs.
+    ``Traced``. The path of a leaf is the name of its field. A value of None has no leaf; a number
+    marked ``UnusedAtZero`` may be None too, also where its type is float. The static part (sizes,
+    flags, names) is compared as a whole: sections that differ in it are different programs.
     """
     leaves = _traced_names(section)
     static = [name for name in section.model_fields if name not in leaves]
@@ -49,18 +53,21 @@ def register(section: type[SectionType]) -> type[SectionType]:
     return section
 
 
-def as_leaves(section: SectionType, unused: Collection[str] = ()) -> SectionType:
+def as_leaves(section: SectionType, scheduled: Collection[str] = ()) -> SectionType:
     """The section with its numbers as arrays (): float32, or int32 where ``Traced`` marks them.
 
     Args:
         section: of a registered class.
-        unused: names of fields that become None: the program is without them.
+        scheduled: names of fields that are used also where they are 0.
     """
-    changes = {
-        name: None if name in unused else jax.tree.map(_leaf, getattr(section, name))
-        for name in _traced_names(type(section))
-    }
-    return with_leaves(section, **changes)
+    fields = type(section).model_fields
+
+    def leaves(name: str) -> Any:
+        value = getattr(section, name)
+        marked = UnusedAtZero() in fields[name].metadata and name not in scheduled
+        return None if marked and value == 0.0 else jax.tree.map(_leaf, value)
+
+    return with_leaves(section, **{name: leaves(name) for name in _traced_names(type(section))})
 
 
 def _leaf(number: float) -> jax.Array:

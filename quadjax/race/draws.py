@@ -10,7 +10,7 @@ import jax
 from flax import struct
 
 from quadjax.core.sections import ORDERED, Field, Section, Unit
-from quadjax.core.traced import register
+from quadjax.core.traced import UnusedAtZero, register
 from quadjax.race.random_track import RandomTracks
 from quadjax.race.track import Coordinate
 from quadjax.vehicle.protocol import Motion, VehicleModel
@@ -33,7 +33,7 @@ class Start(Section):
     stagger_clocks: bool = Field(
         False, description="start at a random step of the episode's clock, so that resets spread"
     )
-    along_leg: float = Field(
+    along_leg: Annotated[float, UnusedAtZero()] = Field(
         0.0,
         ge=0,
         le=1,
@@ -41,8 +41,8 @@ class Start(Section):
         "fraction of it; the way is a cubic curve that leaves and enters the gates along their "
         "yaw; starts are uniform up to there",
     )
-    # In a config, None is the default of the description. As a leaf, it is 0: no such start.
-    race: float | None = Field(
+    # In a config, None is the default of the description; as a leaf it is 0: no such start.
+    race: Annotated[float | None, UnusedAtZero()] = Field(
         None,
         ge=0,
         le=1,

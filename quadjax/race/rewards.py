@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from quadjax.core.gradients import Scalar
 from quadjax.core.imports import user_numbers
 from quadjax.core.sections import Code, Field, Section, Unit
-from quadjax.core.traced import register
+from quadjax.core.traced import UnusedAtZero, register
 from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.rules import HIT_A_GATE
@@ -55,11 +55,11 @@ class Reward(Section):
         description="clearance violation in each axis from which on the penalty is constant, m; at "
         "least that at the edge of a widened opening",
     )
-    action_change: Penalty = Field(
+    action_change: Annotated[Penalty, UnusedAtZero()] = Field(
         0.0,
         description="penalty per change of an action from step to step, each in -1 to 1, summed",
     )
-    perception: Annotated[Penalty, Unit("1/s")] = Field(
+    perception: Annotated[Penalty, Unit("1/s"), UnusedAtZero()] = Field(
         0.0,
         description="penalty per s and rad of the angle between the camera's axis and the target "
         "gate's center beyond perception_deg",
@@ -177,7 +177,6 @@ class Term(NamedTuple):
 
     value: Callable[[Step], Scalar]
     when: Literal["flight", "pass", "crash", "any step", "per second"] = "any step"
-    optional: bool = False  # not computed in a race where its weight is always zero
 
 
 REWARDS: dict[str, Term] = {  # by the name of the weight, a field of ``Reward``
@@ -188,11 +187,11 @@ REWARDS: dict[str, Term] = {  # by the name of the weight, a field of ``Reward``
     "next_gate_progress": Term(next_gate_progress, "pass"),
     "collision": Term(lambda step: -1.0, "crash"),
     "gate_edge": Term(gate_edge),
-    "action_change": Term(action_change, optional=True),
+    "action_change": Term(action_change),
     "time": Term(lambda step: -1.0, "per second"),
     "body_rates": Term(lambda step: -safe_norm(step.body_rates), "per second"),
     "pitch_up": Term(lambda step: -step.euler.y, "per second"),
-    "perception": Term(perception, "per second", optional=True),
+    "perception": Term(perception, "per second"),
     "overspeed": Term(overspeed, "per second"),
 }
 

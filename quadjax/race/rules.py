@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from quadjax.core.gradients import Scalar
 from quadjax.core.imports import user_numbers
 from quadjax.core.sections import Code, Field, Section, Unit
-from quadjax.core.traced import Traced, register
+from quadjax.core.traced import Traced, UnusedAtZero, register
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.track import Gate, Span, gate, gate_count, to_opening_frame
 from quadjax.race.types import Outcome, Step, UserFunctions
@@ -34,7 +34,7 @@ class Rules(Section):
         "(the paper), within a box along the world axes there (the authors' code), or within the "
         "opening where the line between two samples crosses the plane",
     )
-    body_radius: float = Field(
+    body_radius: Annotated[float, UnusedAtZero()] = Field(
         0.0,
         ge=0,
         le=50,
@@ -56,7 +56,7 @@ class Rules(Section):
         "start on it; null: touching the ground is a collision",
     )
     ground_height: float = Field(0.4, ge=0, le=100, description="see ground_speed, m")
-    gate_frame: float = Field(
+    gate_frame: Annotated[float, UnusedAtZero()] = Field(
         0.0,
         ge=0,
         le=10,

@@ -53,10 +53,8 @@ class RaceParams(struct.PyTreeNode):
 
     The numbers of the sections are leaves; their other values are static: ``rules.gate_test``,
     ``start.gate``, ``start.heading``, ``start.stagger_clocks`` and ``track.closed``. A program also
-    depends on which numbers are None. As a leaf, a number that may be absent and is 0 is None, so
-    that nothing is computed for it: ``rules.body_radius``, ``rules.gate_frame``,
-    ``start.along_leg``, ``start.race`` and the optional terms of ``reward``, such as
-    ``reward.action_change`` (``leaves_without_zeros`` of ``quadjax.config.assembly``).
+    depends on which numbers are None. A number whose field is marked ``UnusedAtZero`` is None as a
+    leaf where it is 0 in the config, so that nothing is computed for it: ``rules.gate_frame``.
     """
 
     vehicle: VehicleParams

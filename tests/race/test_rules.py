@@ -284,7 +284,7 @@ def test_a_state_that_is_not_finite_is_a_crash_and_nothing_more(kind):
 def weights(**kept):
     """Weights of which all others are zero, but computed: one program for all."""
     zeros = dict.fromkeys((name for name in REWARDS if name != "action_change"), 0.0)
-    return as_leaves(Reward(**(zeros | {"gate_edge_reach": 1.0} | kept)), ["action_change"])
+    return as_leaves(Reward(**(zeros | {"gate_edge_reach": 1.0} | kept)), ["perception"])
 
 
 @pytest.mark.parametrize(
