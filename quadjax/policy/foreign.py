@@ -13,7 +13,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite
 from quadjax.core.mlp import ACTIVATIONS
 from quadjax.policy.file import Layers, Policy
-from quadjax.policy.network_files import Network, read_c_std, read_network
+from quadjax.policy.network_files import C, Network, read_c, read_network
 from quadjax.policy.pilot import command_ranges
 from quadjax.race.layout import Layout
 from quadjax.vehicle.protocol import VehicleModel
@@ -30,7 +30,8 @@ def sort_files(
     Raises:
         InputError: another number of files, or standard deviations twice.
     """
-    deviations = {name: values for name in files if (values := read_c_std(name)) is not None}
+    of_c = {name: read_c(name) for name in files if Path(name).suffix.lower() in C}
+    deviations = {name: x.log_std for name, x in of_c.items() if not x.layers}
     networks = [name for name in files if name not in deviations]
     count = len(deviations)
     if count > 1 or (count and len(networks) == 2) or not 1 <= len(networks) <= 3:
@@ -41,7 +42,7 @@ def sort_files(
     for name, values in deviations.items():
         if std is not None:
             raise InputError(f"--std has no effect, {name} has output_std")
-        return networks, values
+        return networks, None if values is None else np.exp(values)
     return networks, std
 
 

@@ -31,10 +31,11 @@ SB3_POLICY, SB3_VALUE = "mlp_extractor.policy_net.", "mlp_extractor.value_net."
 STD = "output_std"
 COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 ARRAY = re.compile(r"\b(?:float|double)\s+(\w+)\s*((?:\[[^\]]*\]\s*)+)[^={;]*=\s*\{([^;]*)\}\s*;")
-WEIGHTS = re.compile(r"(\w*?)weights_(\w+)")
+# The names of a layer's weights, and of its biases.
+C_NAMES = re.compile(r"(\w*?)weights_(\w+)"), r"\1biases_\2"
+TORCH_NAMES = re.compile(r"(.*)weight"), r"\1bias"
 READ = re.compile(rf"\w*?(?:weights|biases)_\w+|{STD}")
 FORWARD = re.compile(r"forward\s*\([^)]*\)\s*\{([^{}]*)\}")
-NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?[fF]?")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +71,10 @@ def read_network(path: Path | str) -> Network:
     """
     suffix = Path(path).suffix.lower()
     if suffix in C:
-        return _of_c(path)
+        network = read_c(path)
+        if not network.layers:
+            raise InputError(f"{path}: has no weights_.., expected weights_fc1, biases_fc1, ..")
+        return network
     if suffix in TORCH:
         return _of_tensors(path, read_state_dict(path))
     if suffix not in SB3:
@@ -89,35 +93,36 @@ def _of_tensors(path: Path | str, tensors: Arrays) -> Network:
             f"{path}: log_std has shape {log_std.shape}, expected a number per action (no gSDE)"
         )
     if not any(name.startswith(("mlp_extractor.", "action_net.")) for name in rest):
-        return Network(_linear_layers(path, rest), log_std)
+        return Network(_layers(path, rest, TORCH_NAMES), log_std)
     parts = (SB3_POLICY, "action_net."), (SB3_VALUE, "value_net.")
     for name in rest:
         if not name.startswith((*parts[0], *parts[1])):
             raise InputError(f"{path}: has {name}, expected MlpPolicy with separate networks")
     policy, value = (
-        _linear_layers(path, {name: rest[name] for name in rest if name.startswith(prefixes)})
+        _layers(path, {x: rest[x] for x in rest if x.startswith(prefixes)}, TORCH_NAMES)
         for prefixes in parts
     )
     return Network(policy, log_std, value=value)
 
 
-def _linear_layers(path: Path | str, tensors: Arrays) -> Layers:
-    """Layers in the order of the file: ``NAME.weight`` (out, in) and ``NAME.bias`` of each."""
-    arrays: dict[str, np.ndarray] = {}
-    weights = [name for name in tensors if name.endswith("weight")]
-    biases = [name.removesuffix("weight") + "bias" for name in weights]
-    if others := [name for name in tensors if name not in (*weights, *biases)]:
-        raise InputError(f"{path}: {others[0]} is not of a linear layer, expected only those")
-    for index, (name, bias) in enumerate(zip(weights, biases, strict=True)):
-        if bias not in tensors:
-            raise InputError(f"{path}: {name} has no {bias}, expected linear layers with biases")
-        arrays |= {f"kernel_{index}": np.transpose(tensors[name]), f"bias_{index}": tensors[bias]}
-    return _single(path, arrays)
+def _layers(path: Path | str, arrays: Arrays, names: tuple[re.Pattern[str], str]) -> Layers:
+    """The layers of arrays by name, in their order, in single precision.
 
-
-def _single(path: Path | str, arrays: dict[str, np.ndarray]) -> Layers:
-    """The layers of arrays, checked to fit to each other, in single precision."""
-    layers = read_layers(path, arrays)
+    Weights are by rows, a row for each output. ``names`` are those of weights and their biases.
+    """
+    weights, biases = names
+    matches = [match for match in map(weights.fullmatch, arrays) if match]
+    used = {match[0]: match.expand(biases) for match in matches}
+    if others := set(arrays) - {*used, *used.values()}:
+        raise InputError(f"{path}: {min(others)} is not of a linear layer, expected only those")
+    numbered: dict[str, np.ndarray] = {}
+    for index, (name, bias) in enumerate(used.items()):
+        rows = arrays[bias].size if bias in arrays else 0
+        if not rows or arrays[name].size % rows:
+            raise InputError(f"{path}: {name} has no {bias} with a number for each of its rows")
+        numbered[f"kernel_{index}"] = arrays[name].reshape(rows, -1).T
+        numbered[f"bias_{index}"] = arrays[bias]
+    layers = read_layers(path, numbered)
     return tuple((kernel.astype(np.float32), bias.astype(np.float32)) for kernel, bias in layers)
 
 
@@ -232,47 +237,28 @@ class _Unpickler(pickle.Unpickler):
         return values
 
 
-def _of_c(path: Path | str) -> Network:
-    defined, text = _read_arrays(path)
-    arrays: dict[str, np.ndarray] = {}
-    names = [match for match in map(WEIGHTS.fullmatch, defined) if match]
-    for index, match in enumerate(names):
-        weights, name = defined[match[0]], f"{match[1]}biases_{match[2]}"
-        bias = defined.get(name, np.zeros(0))
-        if not bias.size or weights.size % bias.size:
-            raise InputError(
-                f"{path}: {match[0]} has {weights.size} numbers and {bias.size or 'no'} {name}, "
-                "expected a row of weights for each"
-            )
-        arrays |= {f"kernel_{index}": weights.reshape(bias.size, -1).T, f"bias_{index}": bias}
-    if len({match[1] for match in names}) != 1:
-        listed = ", ".join(match[0] for match in names) or "no weights_.."
+def read_c(path: Path | str) -> Network:
+    """The network of a C file, without layers where the file has only ``output_std``.
+
+    Raises:
+        InputError: a file that cannot be read, or numbers that do not fit; in one line.
+    """
+    arrays, text = _read_arrays(path)
+    std = arrays.pop(STD, None)
+    if std is not None and not np.all((std > 0) & np.isfinite(std)):
+        raise InputError(f"{path}: {STD} is {std.tolist()}, expected numbers above 0")
+    names = [match for match in map(C_NAMES[0].fullmatch, arrays) if match]
+    if len({match[1] for match in names}) > 1:
+        listed = ", ".join(match[0] for match in names)
         raise InputError(f"{path}: has {listed:.80}, expected weights_fc1, biases_fc1, ..")
     forward = FORWARD.search(text)
     code = forward[1] if forward else text
     kinds = [kind for kind in ("relu", "tanh") if re.search(kind, code, re.IGNORECASE)]
-    std = _std(path, defined)
-    log_std = None if std is None else np.log(std)
-    return Network(_single(path, arrays), log_std, kinds[0] if len(kinds) == 1 else None)
-
-
-def read_c_std(path: Path | str) -> np.ndarray | None:
-    """The array ``output_std`` of a C file without a network; None for any other file.
-
-    Raises:
-        InputError: a file that cannot be read, or numbers that are not above 0; in one line.
-    """
-    if Path(path).suffix.lower() not in C:
-        return None
-    defined, _ = _read_arrays(path)
-    return None if any(map(WEIGHTS.fullmatch, defined)) else _std(path, defined)
-
-
-def _std(path: Path | str, arrays: Arrays) -> np.ndarray | None:
-    std = arrays.get(STD)
-    if std is not None and not np.all((std > 0) & np.isfinite(std)):
-        raise InputError(f"{path}: {STD} is {std.tolist()}, expected numbers above 0")
-    return std
+    return Network(
+        layers=_layers(path, arrays, C_NAMES) if arrays else (),
+        log_std=None if std is None else np.log(std),
+        activation=kinds[0] if len(kinds) == 1 else None,
+    )
 
 
 def _read_arrays(path: Path | str) -> tuple[dict[str, np.ndarray], str]:
@@ -287,10 +273,10 @@ def _read_arrays(path: Path | str) -> tuple[dict[str, np.ndarray], str]:
         if not READ.fullmatch(name):
             continue
         words = re.sub(r"[,{}]", " ", body).split()
-        for index, word in enumerate(words):
-            if not NUMBER.fullmatch(word):
-                raise InputError(f"{path}: {name}[{index}] is {word!r:.40}, expected a number")
-        arrays[name] = np.array([float(word.rstrip("fF")) for word in words], np.float64)
+        try:
+            arrays[name] = np.array([float(word.rstrip("fF")) for word in words], np.float64)
+        except ValueError as error:
+            raise InputError(f"{path}: {name}: {str(error):.80}, expected numbers") from None
         factors = re.findall(r"[\[*]\s*([^\[\]*]*?)\s*(?=[\]*])", sizes)
         declared = math.prod(map(int, factors)) if all(map(str.isdecimal, factors)) else None
         if declared not in (None, count := len(words)):
