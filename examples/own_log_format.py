@@ -34,4 +34,5 @@ if __name__ == "__main__":  # a level drone that swings north and south, with no
     swing = {"time": time, "vx": np.sin(3.0 * time), "ax": 3.0 * np.cos(3.0 * time)}
     np.savez("flight.npz", **flight | swing | {"az": flight["az"] - 9.81})
     log = read_log("flight.npz", LogsConfig(format="own_log_format:FORMAT"))
-    print(f"{log.sample_rate:.0f} Hz, {log.rpm.mean():.0f} rpm; not checked: {log.unchecked}")
+    mean, unchecked = log["actuators"].mean(), log.source["unchecked"]
+    print(f"{log.sample_rate:.0f} Hz, {mean:.0f} rpm; not checked: {unchecked}")

@@ -19,9 +19,10 @@ from quadjax.core.files import read_json, write_json, write_text
 from quadjax.core.markdown import table
 from quadjax.evaluation.plants import write_logs
 from quadjax.fitting.config import FitConfig
-from quadjax.fitting.flight_log import FlightLog, read_log
+from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.report import PATTERNS as FIT_FILES
 from quadjax.flights.files import save
+from quadjax.flights.flight import Flight
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flight import Plan
 from quadjax.plant.flights import fly_plan, plan_race
@@ -341,7 +342,7 @@ def tuning_config(config: Config, state: Round, states: Path | None, steps: int)
 
 
 def tune(
-    setting: Setting, state: Round, logs: Sequence[FlightLog], folder: Path, report: Report
+    setting: Setting, state: Round, logs: Sequence[Flight], folder: Path, report: Report
 ) -> Path:
     """Fine-tune a policy in ``folder/training``; returns the file of its last parameters.
 

@@ -1,6 +1,5 @@
 """A flight log as states and commands of a vehicle model."""
 
-import dataclasses
 import functools
 from collections.abc import Mapping
 
@@ -10,8 +9,8 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.fitting.flight_log import FlightLog
-from quadjax.fitting.motors import MAP, RPM, with_simulated_speeds
+from quadjax.fitting.formats import RPM
+from quadjax.fitting.motors import MAP, with_simulated_speeds
 from quadjax.fitting.samples import settled
 from quadjax.flights.flight import Flight, vehicle_signals
 from quadjax.vehicle import estimator
@@ -27,11 +26,11 @@ COLUMNS = {  # signals of a log with the commands of a model, by the name of the
 }
 
 
-def vehicle_flight(log: FlightLog, model: VehicleModel, params: VehicleParams) -> Flight:
+def vehicle_flight(log: Flight, model: VehicleModel, params: VehicleParams) -> Flight:
     """The flying part of a log, with the signals "actuators" and "command" of a model, if known.
 
     Without measured rotor speeds they are those that the motor commands give; the flight then
-    starts later. ``source`` has "path" and "measured", whether the speeds are.
+    starts later. ``source`` has "measured", whether the speeds are.
 
     Args:
         log: with position and attitude.
@@ -41,19 +40,19 @@ def vehicle_flight(log: FlightLog, model: VehicleModel, params: VehicleParams) -
     Raises:
         InputError: no position or attitude, or no sample in flight.
     """
-    if log.position is None or log.attitude is None:
-        raise InputError(f"{log.path}: replay needs columns for position and attitude")
-    measured, source = log.speeds_measured, {"path": log.path, "measured": log.speeds_measured}
-    if not measured and all(hasattr(params.constants, name) for name in MAP):
-        motors = np.array([float(getattr(params.constants, name)) for name in MAP])
-        log = dataclasses.replace(with_simulated_speeds(log, motors), speeds_measured=True)
-    elif not measured:
-        log = dataclasses.replace(log, flying=settled(log))
-    flight = log.flight().airborne()
+    path, measured = log.source["path"], "actuators" in log.signals
+    if not np.isfinite([log["position"], log["attitude"]]).all():
+        raise InputError(f"{path}: replay needs columns for position and attitude")
+    if not measured:
+        log = log.with_signals(flying=settled(log)[:, None])
+        if all(hasattr(params.constants, name) for name in MAP):
+            motors = np.array([float(getattr(params.constants, name)) for name in MAP])
+            log = with_simulated_speeds(log, motors)
+    flight = log.airborne()
     if len(flight.time) < 2:
-        raise InputError(f"{log.path}: no sample in flight (logs.columns.mode)")
+        raise InputError(f"{path}: no sample in flight (logs.columns.mode)")
     states = {"thrust": -flight["specific_force"][:, 2:]}
-    if log.speeds_measured:
+    if "actuators" in flight.signals:
         states |= {"rpm": flight["actuators"], "rotor_speed": flight["actuators"] / RPM}
     names = [COLUMNS.get(signal.name, "") for signal in model.commands]
     commands = [flight[name] for name in names if name in flight.signals]
@@ -62,7 +61,7 @@ def vehicle_flight(log: FlightLog, model: VehicleModel, params: VehicleParams) -
     of_model = vehicle_signals(model, command, states.get(model.actuators.name, nothing))
     signals = {name: value for name, value in flight.signals.items() if name not in of_model}
     signals |= {name: value for name, value in of_model.items() if value.values.size}
-    return flight.replace(signals=signals, source=flight.source | source)
+    return flight.replace(signals=signals, source=flight.source | {"measured": measured})
 
 
 def disturbances_of(

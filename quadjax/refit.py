@@ -20,7 +20,6 @@ from quadjax.fitting.axes import Prediction, pooled
 from quadjax.fitting.config import FitConfig
 from quadjax.fitting.fit import Fit
 from quadjax.fitting.fit import fit as fit_drone
-from quadjax.fitting.flight_log import FlightLog
 from quadjax.fitting.motors import BatteryFit, fit_battery
 from quadjax.fitting.nominal import AXES, UNITS
 from quadjax.fitting.report import write_results
@@ -123,7 +122,7 @@ class Model:
             ) from None
 
 
-def check_speeds(logs: Sequence[FlightLog], present: Model, scale_error: float) -> None:
+def check_speeds(logs: Sequence[Flight], present: Model, scale_error: float) -> None:
     """Refuse logs of another drone: with speeds beyond the range that the policy commands.
 
     Raises:
@@ -131,10 +130,10 @@ def check_speeds(logs: Sequence[FlightLog], present: Model, scale_error: float) 
     """
     low, high = present.constants["rpm_min"], present.constants["rpm_max"]
     for log in logs:
-        fastest = float(np.percentile(log.rpm, 99.0))
+        fastest = float(np.percentile(log["actuators"], 99.0))
         if fastest > high * (1.0 + scale_error):
             raise InputError(
-                f"{log.path}: speeds of up to {fastest:.5g} rpm; the config's vehicle commands "
+                f"{log.name}: speeds of up to {fastest:.5g} rpm; the config's vehicle commands "
                 f"{low:g} to {high:g} (is it this drone? are logs.units.rpm right?)"
             )
 
@@ -206,14 +205,14 @@ def _errors(
 
 
 def _speed_errors(
-    logs: Sequence[FlightLog], model: Model, present: Model, names: set[str], base: BatteryConfig
+    logs: Sequence[Flight], model: Model, present: Model, names: set[str], base: BatteryConfig
 ) -> tuple[float, float] | None:
     """Errors of the propeller speeds from commands, of the present model and of fits without.
 
     Loads are relative to the hover of each model. None where no flight can be compared: without
     commanded speeds, or without a second flight.
     """
-    commanded = [log for log in logs if log.rpm_command is not None]
+    commanded = [log for log in logs if "command" in log.signals]
     old = present.battery or BatteryFit(present.constants["tau"], 0.0, 0.0)
     pairs = []
     for log in commanded:
@@ -272,7 +271,7 @@ def changes(present: Model, model: Model) -> str:
     return Table(["", "present", "refitted", "change"], rows, notes).format()
 
 
-def _flight(log: FlightLog, config: Config) -> Flight | None:
+def _flight(log: Flight, config: Config) -> Flight | None:
     """A log as a flight with its passages, whose end is none; None without position or attitude."""
     try:
         flight = vehicle_flight(log, make_choices(config).model, make_vehicle(config))
@@ -284,7 +283,7 @@ def _flight(log: FlightLog, config: Config) -> Flight | None:
     return flight.replace(gates=gates, passages=passed)
 
 
-def states_of_logs(logs: Sequence[FlightLog], config: Config) -> Flight | None:
+def states_of_logs(logs: Sequence[Flight], config: Config) -> Flight | None:
     """``STATES`` states at even intervals of the flights, with the gate ahead of each.
 
     Logs without a position, a passage of the first gate, or propeller speeds give none; None if no
@@ -304,7 +303,7 @@ def states_of_logs(logs: Sequence[FlightLog], config: Config) -> Flight | None:
 
 
 def clearances(
-    logs: Sequence[FlightLog], config: Config, hit: Collection[str] = ()
+    logs: Sequence[Flight], config: Config, hit: Collection[str] = ()
 ) -> dict[int, np.ndarray]:
     """Distances (n,) from the edge of the opening at the passages of each gate, m.
 
@@ -340,7 +339,7 @@ def spread_of(clearance: dict[int, np.ndarray]) -> float:
     return float(np.sqrt(squares / chi2.ppf(UNSURE, free))) if free > 0 else float("nan")
 
 
-def margin_of(config: Config, logs: Sequence[FlightLog], hit: Collection[str]) -> float:
+def margin_of(config: Config, logs: Sequence[Flight], hit: Collection[str]) -> float:
     """The margin inside the gates' edges, m, that flights call for: ``reward.gate_edge_margin``.
 
     It grows by what ``SPREAD`` standard deviations of the clearance exceed its mean at the gate

@@ -24,7 +24,6 @@ from quadjax.export.proof import prove
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import LAST_COMMAND, state_sizes
 from quadjax.export.states import drone_of, example_state, observe
-from quadjax.fitting.flight_log import FlightLog
 from quadjax.fitting.signals import derivative, low_pass
 from quadjax.flights.flight import MOTION, Flight
 from quadjax.flights.gates import REACH
@@ -58,7 +57,7 @@ Arrays = dict[str, np.ndarray]
 
 
 def replay(
-    log: FlightLog,
+    log: Flight,
     track: TrackSection,
     drone: Config,
     race: OwnRace | None,
@@ -100,7 +99,7 @@ def replay(
     of_model, errors = _predict(flight, choices.model, params.vehicle, example, drive)
     figures["prediction"] = _prediction_figure(of_model, errors)
     numbers = {
-        "log": log.path,
+        "log": log.source["path"],
         "track": track.name,
         "seconds": float(flight.time[-1]),
         "sample_rate": 1.0 / flight.step,

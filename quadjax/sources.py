@@ -123,10 +123,9 @@ def load_log(
     Raises:
         InputError: a log that cannot be read, without positions, or without a sample in flight.
     """
-    log = read_log(path, logs or _format_of(path))
-    if log.position is None:
+    flight = read_log(path, logs or _format_of(path)).airborne().replace(name=name)
+    if np.isnan(flight["position"]).any():
         raise InputError(f"{path}: no columns for position (logs.columns.position)")
-    flight = log.flight(name).airborne()
     if not len(flight.time):
         raise InputError(f"{path}: no sample in flight (logs.columns.mode)")
     if track is None:

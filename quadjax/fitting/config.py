@@ -1,6 +1,8 @@
 """Config of a fit, ``configs/fit/*.yaml``: logs, drone, method and output."""
 
+import dataclasses
 from collections.abc import Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -9,6 +11,7 @@ from pydantic import BeforeValidator
 from quadjax.core.errors import InputError
 from quadjax.core.sections import (
     MAX_SEED,
+    ORDERED,
     Field,
     FolderName,
     NonNegative,
@@ -18,7 +21,9 @@ from quadjax.core.sections import (
     model_validator,
 )
 from quadjax.core.yaml_files import Tree, parse_overrides
-from quadjax.fitting.formats import QUANTITIES
+from quadjax.fitting.formats import QUANTITIES, RPM
+from quadjax.vehicle.constants import values_of
+from quadjax.vehicle.vehicle_file import VehicleFile
 
 Columns = Annotated[tuple[str, ...], Field(max_length=100)]
 MotorCommand = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -66,7 +71,7 @@ class LogsConfig(Section):
     world_frame: Literal["NED", "ENU", "auto"] | None = Field(
         None, description="axes of world-frame columns; auto: by gravity; null: the format's"
     )
-    motor_range: tuple[MotorCommand, MotorCommand] | None = Field(
+    motor_range: Annotated[tuple[MotorCommand, MotorCommand], ORDERED] | None = Field(
         None, description="motor commands that are 0 and 1; null: the log's or the format's"
     )
     max_gap: Positive = Field(0.05, description="s, longest allowed gap between samples")
@@ -80,12 +85,6 @@ class LogsConfig(Section):
     max_angle: float = Field(
         15.0, gt=0.0, le=180.0, description="deg, largest allowed between axes of two quantities"
     )
-
-    @model_validator(mode="after")
-    def _motor_range(self) -> Self:
-        if self.motor_range is not None and self.motor_range[0] >= self.motor_range[1]:
-            raise ValueError(f"logs.motor_range is {list(self.motor_range)}, allowed: [low, high]")
-        return self
 
     @model_validator(mode="after")
     def _widths(self) -> Self:
@@ -110,17 +109,9 @@ class BodyConfig(Section):
     inertia: tuple[Positive, Positive, Positive] | Literal["base"] | None = Field(
         None, description="kg m^2: xx, yy, zz; base takes the base vehicle's; required"
     )
-    rpm_range: tuple[Positive, Positive] | None = Field(
+    rpm_range: Annotated[tuple[Positive, Positive], ORDERED] | None = Field(
         None, description="lowest, highest rpm; null takes the logs'"
     )
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.rpm_range is not None and self.rpm_range[0] >= self.rpm_range[1]:
-            raise ValueError(
-                f"body.rpm_range is {list(self.rpm_range)}, allowed: [lowest, highest]"
-            )
-        return self
 
 
 class NominalConfig(Section):
@@ -202,3 +193,63 @@ def _format_of(overrides: Tree) -> object:
     """``logs.format`` of a command line's overrides; None if it is not among them."""
     logs = overrides.get("logs")
     return logs.get("format") if isinstance(logs, dict) else None
+
+
+def with_body(base: VehicleFile, body: BodyConfig, model: str = "motor") -> VehicleFile:
+    """The base vehicle with the config's name, mass, inertia and rpm range.
+
+    Mass and width of the base vehicle are those of a drone with its inertia.
+
+    Raises:
+        InputError: no inertia for the model ``motor``.
+    """
+    values = dict(values_of(base.constants(model)))
+    same = model == "racing" or body.inertia == "base"
+    if body.rpm_range is not None:
+        names, unit = (
+            (("w_min", "w_max"), RPM) if model == "racing" else (("rpm_min", "rpm_max"), 1)
+        )
+        values |= {name: rpm / unit for name, rpm in zip(names, body.rpm_range, strict=True)}
+    if not same:
+        if body.inertia is None:
+            raise InputError(
+                "body.inertia is null; logs do not determine it, and all moments are proportional "
+                f"to it: set [xx, yy, zz] in kg m^2, or base for that of {base.name}"
+            )
+        values |= dict(zip(("i_xx", "i_yy", "i_zz"), map(float, body.inertia), strict=True))
+    mass = base.mass if same and body.mass is None else body.mass
+    width = base.width if same else None
+    drone = dataclasses.replace(base, name=body.name, mass=mass, width=width)
+    return drone.with_constants(model, values)
+
+
+def check_keys(config: FitConfig, model: str, split_by: str) -> None:
+    """Refuse keys without effect, with a split by "flight" or "time".
+
+    Raises:
+        InputError: naming the key, its value, the reason and what is allowed.
+    """
+    reasons: dict[str, str] = {}
+    training = [f"residual.{name}" for name in ResidualConfig.model_fields if name != "fit"]
+    if split_by == "flight":
+        reasons["split.test_fraction"] = "whole flights are held out"
+    if not config.nominal.fit:
+        reasons["nominal.axes"] = "nominal.fit=false fits no constant"
+    if not config.residual.fit:
+        reason = "residual.fit=false trains no network"
+        reasons |= dict.fromkeys([key for key in training if key != "residual.max_harm"], reason)
+        reasons["seed"] = "without a residual nothing is random"
+    if model == "racing":
+        of_model = "on a vehicle of the model racing: "
+        reasons |= dict.fromkeys(training, f"{of_model}it has no residual")
+        reasons["seed"] = f"{of_model}nothing in its fit is random"
+        reasons["nominal.fit"] = f"{of_model}without its constants nothing would be fitted"
+        reasons["body.inertia"] = f"{of_model}its constants are per inertia"
+        if split_by == "time":
+            reasons["split.folds"] = f"{of_model}no choice is validated on blocks of time"
+    for key, reason in reasons.items():
+        value, usual = (attrgetter(key)(section) for section in (config, FitConfig()))
+        if value != usual:
+            raise InputError(
+                f"{key} is {value!r}, which has no effect: {reason}; allowed: {usual!r}"
+            )

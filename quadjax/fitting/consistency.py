@@ -72,8 +72,10 @@ def check_consistency(
     signals = signals_of(_with_motors(quantities, rate), flying, rate)
     if signals is None:
         return [f"{_listed(names[name])} (a short flight)" for name in CHECKED if name in names]
+    commands = names.get("motor_command", [])
     attitude = names[form][form == "quaternion" :] if form else []
-    names = {**names, "attitude": attitude}
+    followed = names.get("rpm_command", commands)
+    names = {"rpm": commands, "followed": followed, **names, "attitude": attitude}
     rows, gains = _search(signals, names, form, frames, config)
     allowed = np.array([change.allowed for _, change in rows])
     beyond = gains - [change.unlikely for _, change in rows]
@@ -115,30 +117,21 @@ def _search(
 ) -> tuple[list[tuple[str, Change]], np.ndarray]:
     """Quantities and all changes of their columns, the simple ones first, and gains (h,)."""
     evidence, motors = Evidence(signals, names, frames), MotorEvidence(signals)
+    vectors = vector_changes(config.max_scale_error, config.max_delay, config.max_angle)
+    candidates = {name: vectors for name in VECTORS if name in names and evidence.laws_of(name)}
+    if form:
+        candidates["attitude"] = attitude_changes(form, config.max_delay)
+    candidates["rpm"] = motor_changes(config.max_delay, True)
+    if "followed" in signals.values:
+        candidates["followed"] = motor_changes(config.max_delay + 2.0 * LAG, False)
     rows: list[tuple[str, Change]] = []
     gains: list[np.ndarray] = []
-
-    def add(quantity: str, changes: Sequence[Change], gained: np.ndarray) -> None:
-        rows.extend((quantity, change) for change in changes)
-        gains.append(gained)
-
-    largest = config.max_delay
-    group = vector_changes(config.max_scale_error, largest, config.max_angle)
-    used = {name for law in evidence.identities for name in law.linear + law.nonlinear}
-    for quantity in (name for name in VECTORS if name in names and name in used):
-        gained = evidence.gains(quantity, group)
-        add(quantity, group, gained + (motors.gains("gyro", group) if quantity == "gyro" else 0.0))
-        if form:
-            add(quantity, OTHER_COLUMNS, evidence.gains_unrelated(quantity))
-    if form:
-        group = attitude_changes(form, largest)
-        add("attitude", group, evidence.gains("attitude", group))
-    group = motor_changes(largest, True)
-    add("rpm" if "rpm" in names else "motor_command", group, motors.gains("speeds", group))
-    if "followed" in signals.values:
-        group = motor_changes(largest + 2.0 * LAG, False)
-        commands = "rpm_command" if "rpm_command" in names else "motor_command"
-        add(commands, group, motors.gains("commands", group))
+    for quantity, changes in candidates.items():
+        rows += [(quantity, change) for change in changes]
+        gains.append(evidence.gains(quantity, changes) + motors.gains(quantity, changes))
+        if form and quantity in VECTORS:
+            rows += [(quantity, change) for change in OTHER_COLUMNS]
+            gains.append(evidence.gains_unrelated(quantity))
     return rows, np.concatenate(gains)
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,9 @@ from quadjax.fitting.axes import (
     with_common,
     with_estimates,
 )
-from quadjax.fitting.config import BodyConfig, FitConfig, ResidualConfig
-from quadjax.fitting.flight_log import FlightLog, highest_speed, read_logs
+from quadjax.fitting.config import FitConfig, check_keys, with_body
+from quadjax.fitting.flight_log import highest_speed, read_logs
 from quadjax.fitting.motors import (
-    RPM,
     BatteryFit,
     fit_battery,
     fit_motors,
@@ -31,6 +29,7 @@ from quadjax.fitting.nominal import AXES, EQUATIONS, Constants, units
 from quadjax.fitting.regression import Estimate, check_signs
 from quadjax.fitting.residual import ResidualFit, fit_residuals, zero_residual
 from quadjax.fitting.samples import ALL, LeftOut, Samples, Split, airborne, make_split, prepare
+from quadjax.flights.flight import Flight
 from quadjax.vehicle.battery import BatteryConfig
 from quadjax.vehicle.constants import replaced, values_of
 from quadjax.vehicle.motor import MotorConstants
@@ -62,7 +61,7 @@ class Fit:
     """
 
     config: FitConfig
-    logs: list[FlightLog]
+    logs: list[Flight]
     model: str
     vehicle: VehicleFile
     samples: Samples
@@ -165,22 +164,22 @@ class _Fits:
     """
 
     def __init__(
-        self, config: FitConfig, logs: Sequence[FlightLog], vehicle: VehicleFile, model: str
+        self, config: FitConfig, logs: Sequence[Flight], vehicle: VehicleFile, model: str
     ) -> None:
         self.config, self.logs, self.vehicle, self.model = config, logs, vehicle, model
         self.rows = [airborne(log, config.logs.min_seconds) for log in logs]  # (n,) bool of each
         pairs = zip(logs, self.rows, strict=True)
         times = [log.time[used] - log.time[0] for log, used in pairs]
         self.split = make_split(times, [log.name for log in logs], config.split)
-        check_keys(config, model, self.split)
+        check_keys(config, model, self.split.by)
         self.base: Any = vehicle.constants(model)
         self._fits: dict[LeftOut, tuple[Samples, list[Estimate]]] = {}
-        self._measured = all(log.speeds_measured for log in logs)
+        self._measured = all("actuators" in log.signals for log in logs)
         if model == "motor" and config.body.rpm_range is None:
             # The range of the flights, rounded outwards to hundreds.
             used = [
                 self.samples().motion.rpm,
-                *(x for x in (g.rpm_command for g in logs) if x is not None),
+                *(log["command"] for log in logs if "command" in log.signals),
             ]
             low = 100.0 * np.floor(min(float(part.min()) for part in used) / 100.0)
             high = 100.0 * np.ceil(max(float(part.max()) for part in used) / 100.0)
@@ -209,7 +208,8 @@ class _Fits:
         base, motors, logs = self.base, [], self.logs
         if self.model == "racing":
             motors = [fit_motors(logs, self.masks(left_out), base)]
-            logs = [with_simulated_speeds(log, motors[0].values) for log in logs]
+            values = np.array(list(motors[0].constants.values()))
+            logs = [with_simulated_speeds(log, values) for log in logs]
         if self._measured and self._fits:
             samples = next(iter(self._fits.values()))[0]
         else:
@@ -280,67 +280,7 @@ class _Fits:
         return replace(vehicle, fitted_speed=highest_speed(fitted))
 
 
-def with_body(base: VehicleFile, body: BodyConfig, model: str = "motor") -> VehicleFile:
-    """The base vehicle with the config's name, mass, inertia and rpm range.
-
-    Mass and width of the base vehicle are those of a drone with its inertia.
-
-    Raises:
-        InputError: no inertia for the model ``motor``.
-    """
-    values = dict(values_of(base.constants(model)))
-    same = model == "racing" or body.inertia == "base"
-    if body.rpm_range is not None:
-        names, unit = (
-            (("w_min", "w_max"), RPM) if model == "racing" else (("rpm_min", "rpm_max"), 1)
-        )
-        values |= {name: rpm / unit for name, rpm in zip(names, body.rpm_range, strict=True)}
-    if not same:
-        if body.inertia is None:
-            raise InputError(
-                "body.inertia is null; logs do not determine it, and all moments are proportional "
-                f"to it: set [xx, yy, zz] in kg m^2, or base for that of {base.name}"
-            )
-        values |= dict(zip(("i_xx", "i_yy", "i_zz"), map(float, body.inertia), strict=True))
-    mass = base.mass if same and body.mass is None else body.mass
-    width = base.width if same else None
-    drone = replace(base, name=body.name, mass=mass, width=width)
-    return drone.with_constants(model, values)
-
-
-def check_keys(config: FitConfig, model: str, split: Split) -> None:
-    """Refuse keys without effect.
-
-    Raises:
-        InputError: naming the key, its value, the reason and what is allowed.
-    """
-    reasons: dict[str, str] = {}
-    training = [f"residual.{name}" for name in ResidualConfig.model_fields if name != "fit"]
-    if split.by == "flight":
-        reasons["split.test_fraction"] = "whole flights are held out"
-    if not config.nominal.fit:
-        reasons["nominal.axes"] = "nominal.fit=false fits no constant"
-    if not config.residual.fit:
-        reason = "residual.fit=false trains no network"
-        reasons |= dict.fromkeys([key for key in training if key != "residual.max_harm"], reason)
-        reasons["seed"] = "without a residual nothing is random"
-    if model == "racing":
-        of_model = "on a vehicle of the model racing: "
-        reasons |= dict.fromkeys(training, f"{of_model}it has no residual")
-        reasons["seed"] = f"{of_model}nothing in its fit is random"
-        reasons["nominal.fit"] = f"{of_model}without its constants nothing would be fitted"
-        reasons["body.inertia"] = f"{of_model}its constants are per inertia"
-        if split.by == "time":
-            reasons["split.folds"] = f"{of_model}no choice is validated on blocks of time"
-    for key, reason in reasons.items():
-        value, usual = (attrgetter(key)(section) for section in (config, FitConfig()))
-        if value != usual:
-            raise InputError(
-                f"{key} is {value!r}, which has no effect: {reason}; allowed: {usual!r}"
-            )
-
-
-def _check_speeds(config: FitConfig, logs: list[FlightLog], model: str) -> None:
+def _check_speeds(config: FitConfig, logs: list[Flight], model: str) -> None:
     """Refuse logs that lack what the model needs, or are of another drone.
 
     Raises:
@@ -348,40 +288,37 @@ def _check_speeds(config: FitConfig, logs: list[FlightLog], model: str) -> None:
             scale error.
     """
     for log in logs:
-        if model == "motor" and not log.speeds_measured:
+        path, measured = log.source["path"], "actuators" in log.signals
+        if model == "motor" and not measured:
             raise InputError(
-                f"{log.path}: no columns for rpm (logs.columns.rpm), which the model motor needs; "
+                f"{path}: no columns for rpm (logs.columns.rpm), which the model motor needs; "
                 "motor commands suffice for a racing quadcopter (vehicle=5inch.yaml)"
             )
-        if config.body.rpm_range is None or not log.speeds_measured:
+        if config.body.rpm_range is None or not measured:
             continue
-        fastest = float(np.percentile(log.rpm, 99.0))
+        fastest = float(np.percentile(log["actuators"], 99.0))
         if fastest > config.body.rpm_range[1] * (1.0 + config.logs.max_scale_error):
             raise InputError(
-                f"{log.path}: speeds of up to {fastest:.5g} rpm, body.rpm_range is "
+                f"{path}: speeds of up to {fastest:.5g} rpm, body.rpm_range is "
                 f"{list(config.body.rpm_range)}; is logs.units.rpm right?"
             )
 
 
 def _warnings(
-    config: FitConfig, logs: Sequence[FlightLog], estimates: Sequence[Estimate]
+    config: FitConfig, logs: Sequence[Flight], estimates: Sequence[Estimate]
 ) -> Iterator[str]:
     for estimate in estimates:
         yield from estimate.warnings
-    scaled = any(log.rpm_command is not None or log.motor_command is not None for log in logs)
+    scaled = any({"command", "motor_command"} & set(log.signals) for log in logs)
     if config.body.rpm_range is None and not scaled:
         yield (
             "the common scale of the propeller speeds is not checked: the logs have no commanded "
             "speeds; body.rpm_range, if given, bounds it"
         )
     for log in logs:
-        if log.cut_row:
+        if row := log.source["cut_row"]:
+            yield (f"{log.name}: row {row} is left out: no line break ends it, so it may be cut")
+        if names := ", ".join(log.source["unchecked"]):
             yield (
-                f"{log.name}: row {log.cut_row} is left out: no line break ends it, so it may be "
-                "cut"
-            )
-        if log.unchecked:
-            yield (
-                f"{log.name}: not checked for lack of motion or of columns to compare with: "
-                + ", ".join(log.unchecked)
+                f"{log.name}: not checked for lack of motion or of columns to compare with: {names}"
             )

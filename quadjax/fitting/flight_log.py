@@ -5,9 +5,8 @@ FRD and world NED and to evenly spaced times, and they are compared with one ano
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,10 +15,9 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.consistency import check_consistency
-from quadjax.fitting.formats import COMMANDS, QUANTITIES, Quantities, log_format
+from quadjax.fitting.formats import QUANTITIES, Quantities, log_format
 from quadjax.fitting.log_table import LogTable, read_csv, read_head
 from quadjax.fitting.magnitudes import check_attitude, check_columns, check_time
-from quadjax.fitting.motor_evidence import typical_speeds
 from quadjax.fitting.quantities import (
     called,
     evenly,
@@ -34,76 +32,47 @@ STANDIN_HINT = (
     "; simulate them: quadjax logs standin --policy e2e_nominal --policy indi_shac "
     f"--output runs/{STANDIN_LOGS}"
 )
-SIGNALS = {  # of a flight: name, unit and labels by the attribute of a log
+SIGNALS = {  # of a flight: name, unit and labels by quantity
     "rpm_command": ("command", "rpm", MOTORS),
     "rpm": ("actuators", "rpm", MOTORS),
     "motor_command": ("motor_command", "", MOTORS),
     "rate_command": ("rate_command", "rad/s", RATES),
     "thrust_command": ("thrust_command", "m/s^2", ("thrust",)),
-    "specific_force": ("specific_force", "m/s^2", AXES),
+    "body_velocity": ("body_velocity", "m/s", AXES),
+    "acceleration": ("specific_force", "m/s^2", AXES),
     "flying": ("flying", "", ()),
 }
 
 
-@dataclass(frozen=True)
-class FlightLog:
-    """One flight, n evenly spaced samples; world NED, body FRD."""
+def log_flight(path: Path | str, quantities: Quantities, **source: Any) -> Flight:
+    """A flight of the quantities of a log, without gates.
 
-    name: str
-    path: str
-    time: np.ndarray  # (n,) s
-    rpm: np.ndarray  # (n, 4) rpm, front-left, front-right, rear-right, rear-left
-    rpm_command: np.ndarray | None  # (n, 4) rpm
-    rate_command: np.ndarray | None  # (n, 3) rad/s
-    thrust_command: np.ndarray | None  # (n,) specific thrust along -z, m/s^2
-    body_velocity: np.ndarray  # (n, 3) m/s
-    rates: np.ndarray  # (n, 3) rad/s
-    specific_force: np.ndarray  # (n, 3) m/s^2, accelerometer less its bias
-    flying: np.ndarray  # (n,) bool, from the log's mode; all true without one
-    position: np.ndarray | None  # (n, 3) m, world
-    attitude: Rotation | None  # n, body to world
-    cut_row: int | None = None  # the last row of the file, left out because no line break ends it
-    unchecked: tuple[str, ...] = ()  # columns without evidence of sign and order
-    motor_command: np.ndarray | None = None  # (n, 4) 0 to 1
-    speeds_measured: bool = True  # false: ``rpm`` is that of typical motors at the motor commands
+    Its signals are "position", "velocity", "attitude", "rates", and those of ``SIGNALS`` that the
+    log has: "command" and "actuators" are propeller speeds. Without a position or an attitude it is
+    NaN, and without an attitude the velocity is the derivative of the position.
 
-    @property
-    def sample_rate(self) -> float:
-        """Samples per second, Hz."""
-        return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
-
-    def flight(self, name: str | None = None) -> Flight:
-        """The log as a flight, without gates; not for a log without a position.
-
-        It has further signals, those of ``SIGNALS`` that the log has; "command" and "actuators" are
-        propeller speeds. Without an attitude it is NaN, and the velocity is the derivative of the
-        position.
-
-        Args:
-            name: of the flight; that of the log if not given.
-        """
-        assert self.position is not None
-        if self.attitude is None:
-            velocity = np.gradient(self.position, self.time, axis=0)
-            attitude = np.full_like(velocity, np.nan)
-        else:
-            velocity = self.attitude.apply(self.body_velocity)
-            attitude = self.attitude.as_euler("ZYX")[:, ::-1]
-        motion = {"position": self.position, "velocity": velocity, "attitude": attitude}
-        signals = motion_signals(motion | {"rates": self.rates})
-        for attribute, (signal, unit, labels) in SIGNALS.items():
-            values = getattr(self, attribute)
-            if values is not None and (attribute != "rpm" or self.speeds_measured):
-                columns = np.asarray(values, np.float64).reshape(len(values), -1)
-                signals[signal] = Signal(columns, unit, labels)
-        source = {"note": "flight log", "path": self.path}
-        return Flight(name or self.name, self.time, signals, source=source)
-
-    def __getitem__(self, rows: slice) -> Self:
-        """The flight at some consecutive samples."""
-        arrays = {k: v for k, v in vars(self).items() if isinstance(v, (np.ndarray, Rotation))}
-        sampled: dict[str, Any] = {name: values[rows] for name, values in arrays.items()}
-        return replace(self, **sampled)
+    Args:
+        path: of the log, whose stem is the name of the flight.
+        quantities: evenly sampled, (n,) or (n, k), in SI and rpm, body FRD and world NED; with
+            "time", "gyro", "acceleration", "body_velocity" and "flying". Quaternions have the
+            scalar last.
+        source: further facts about the flight.
+    """
+    time, body = quantities["time"], quantities["body_velocity"]
+    position = quantities.get("position", np.full_like(body, np.nan))
+    if "quaternion" in quantities:
+        rotation = Rotation.from_quat(quantities["quaternion"])
+        velocity, attitude = rotation.apply(body), rotation.as_euler("ZYX")[:, ::-1]
+    else:
+        velocity, attitude = np.gradient(position, time, axis=0), np.full_like(body, np.nan)
+    motion = {"position": position, "velocity": velocity, "attitude": attitude}
+    signals = motion_signals(motion | {"rates": quantities["gyro"]})
+    for quantity, (name, unit, labels) in SIGNALS.items():
+        if quantity in quantities:
+            columns = np.asarray(quantities[quantity], np.float64).reshape(len(time), -1)
+            signals[name] = Signal(columns, unit, labels)
+    about = {"note": "flight log", "path": str(path)}
+    return Flight(Path(path).stem, time, signals, source=about | source)
 
 
 def find_logs(config: LogsConfig, folder: Path) -> list[Path]:
@@ -146,7 +115,7 @@ def _expand(folder: Path, pattern: str) -> list[Path]:
 
 def read_logs(
     config: LogsConfig, folder: Path, report: Callable[[str], None] = lambda line: None
-) -> list[FlightLog]:
+) -> list[Flight]:
     """Read every flight of a config; ``report`` is called with the progress.
 
     Arguments and errors as ``find_logs`` and ``read_log``.
@@ -158,10 +127,15 @@ def read_logs(
     return logs
 
 
-def read_log(path: Path | str, config: LogsConfig) -> FlightLog:
+def read_log(path: Path | str, config: LogsConfig) -> Flight:
     """Read one flight log.
 
     A last row of a CSV file that no line break ends is left out: its last number may be cut.
+
+    Returns:
+        The flight, evenly sampled; see ``log_flight``. Its ``source`` has "path"; "unchecked", the
+        columns without evidence of sign and order; and "cut_row", the row that is left out, or
+        None.
 
     Raises:
         InputError: a missing column, a cell that is no finite number, a time that does not increase
@@ -173,22 +147,22 @@ def read_log(path: Path | str, config: LogsConfig) -> FlightLog:
         columns = called(form.read, path, Path(path))
         if not isinstance(columns, Mapping):
             raise InputError(f"{path}: the reader gives {columns!r:.40}, expected columns by name")
-        return _log(LogTable(str(path), columns), config)
+        return _flight(LogTable(str(path), columns), config)
     header = read_head(path, form.settings)[0]
     wanted = wanted_columns(path, config, form, header)
     names = [name for group in wanted.values() for name in group]
-    return _log(read_csv(path, names, form.settings), config)
+    return _flight(read_csv(path, names, form.settings), config)
 
 
-def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) -> FlightLog:
-    """A flight log from columns (n,) by name, the first sample in row 2 of a file.
+def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) -> Flight:
+    """A flight from columns (n,) by name, the first sample in row 2 of a file.
 
-    Arguments and errors as ``read_log``; the stem of the path is the name of the log.
+    Arguments and errors as ``read_log``; the stem of the path is the name of the flight.
     """
-    return _log(LogTable(str(path), columns, first_row=2), config)
+    return _flight(LogTable(str(path), columns, first_row=2), config)
 
 
-def _log(table: LogTable, config: LogsConfig) -> FlightLog:
+def _flight(table: LogTable, config: LogsConfig) -> Flight:
     form, path = log_format(config.format), table.path
     names = wanted_columns(path, config, form, list(table.columns))
     quantities = quantities_of(table, names, config, form)
@@ -206,28 +180,13 @@ def _log(table: LogTable, config: LogsConfig) -> FlightLog:
     even["acceleration"] = even["acceleration"] - even.pop("acceleration_bias", 0.0)
     rate = (len(flying) - 1) / float(even["time"][-1] - even["time"][0])
     unchecked = check_consistency(path, names, even, rate, flying, frames, config)
-    measured = "rpm" in even
-    return FlightLog(
-        name=Path(path).stem,
-        path=path,
-        time=even["time"],
-        rpm=even["rpm"] if measured else typical_speeds(even["motor_command"], rate),
-        speeds_measured=measured,
-        **{name: even.get(name) for name in COMMANDS},
-        body_velocity=even["body_velocity"],
-        rates=even["gyro"],
-        specific_force=even["acceleration"],
-        flying=flying,
-        position=even.get("position"),
-        attitude=Rotation.from_quat(even["quaternion"]) if "quaternion" in even else None,
-        cut_row=table.cut_row,
-        unchecked=tuple(unchecked),
-    )
+    even["flying"] = flying
+    return log_flight(path, even, unchecked=unchecked, cut_row=table.cut_row)
 
 
-def highest_speed(logs: Sequence[FlightLog]) -> float:
+def highest_speed(logs: Sequence[Flight]) -> float:
     """The highest speed of some flights, m/s, to 0.1 m/s."""
-    speeds = [np.linalg.norm(log.body_velocity[log.flying], axis=1).max() for log in logs]
+    speeds = [np.linalg.norm(log["body_velocity"], axis=1)[log.flying].max() for log in logs]
     return round(float(max(speeds)), 1)
 
 

@@ -19,6 +19,7 @@ from quadjax.core.imports import load_object
 from quadjax.fitting import ulog
 
 Quantities = dict[str, np.ndarray]
+RPM = 30.0 / math.pi  # of 1 rad/s
 FLIP = np.array([1.0, -1.0, -1.0])  # FLU <-> FRD
 ENU = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 TO_NED = {"NED": Rotation.identity(), "ENU": ENU}  # from the world frame of a log
@@ -84,7 +85,7 @@ ATTITUDES = ("euler", "quaternion", "rotation")
 COMMANDS = ("rpm_command", "motor_command", "rate_command", "thrust_command")
 UNITS: dict[str, dict[str, float]] = {  # factors to the first unit of each kind
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
-    "rpm": {"rpm": 1.0, "krpm": 1e3, "rad/s": 30.0 / math.pi},
+    "rpm": {"rpm": 1.0, "krpm": 1e3, "rad/s": RPM},
     "gyro": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
     "acceleration": {"m/s^2": 1.0, "g": 9.80665},
     "velocity": {"m/s": 1.0, "cm/s": 0.01},

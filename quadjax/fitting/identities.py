@@ -14,6 +14,7 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from quadjax.fitting.formats import FROM_FRD, TO_NED
+from quadjax.fitting.signals import low_pass
 from quadjax.vehicle.airframe import GRAVITY
 
 BAND = 5.0  # Hz, of the motion that is compared
@@ -64,8 +65,7 @@ class Signals:
 
     def low_pass(self, values: np.ndarray) -> np.ndarray:
         """Signals (.., m, k) below ``BAND``."""
-        sections = butter(2, min(BAND, 0.4 * self.rate), fs=self.rate, output="sos")
-        return sosfiltfilt(sections, values, axis=-2)
+        return low_pass(values, self.rate, min(BAND, 0.4 * self.rate), axis=-2)
 
 
 def signals_of(quantities: Arrays, flying: np.ndarray, rate: float) -> Signals | None:
@@ -111,18 +111,6 @@ def derivative(values: np.ndarray, rate: float) -> np.ndarray:
 def rotate(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Vectors (.., n, 3) by matrices (.., n, 3, 3)."""
     return np.einsum("...ij,...j->...i", matrix, vector)
-
-
-def matrices_of_angles(angles: np.ndarray) -> np.ndarray:
-    """Rotation matrices (.., 3, 3), body to world, of roll, pitch and yaw (.., 3), rad."""
-    cx, cy, cz = np.moveaxis(np.cos(angles), -1, 0)
-    sx, sy, sz = np.moveaxis(np.sin(angles), -1, 0)
-    rows = (
-        (cy * cz, sx * sy * cz - cx * sz, cx * sy * cz + sx * sz),
-        (cy * sz, sx * sy * sz + cx * cz, cx * sy * sz - sx * cz),
-        (-sy, sx * cy, cx * cy),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def turning(q: Arrays, rate: float) -> np.ndarray:
@@ -207,21 +195,25 @@ class Evidence:
             used = (velocity, "position")
             self.identities.append(Identity(moving, used, attitude, bias=0.3, noise=0.02))
 
+    def laws_of(self, quantity: str) -> list[Identity]:
+        """The identities that a quantity is part of."""
+        return [law for law in self.identities if quantity in law.linear + law.nonlinear]
+
     def gains(self, quantity: str, changes: Sequence[Change]) -> np.ndarray:
-        """Gains (h,) of log-likelihood by changes of one vector quantity or of the attitude."""
-        rows = [Change(), *changes]
+        """Gains (h,) of log-likelihood by changes of a quantity; 0 if it is part of no identity."""
+        laws, rows = self.laws_of(quantity), [Change(), *changes]
+        if not laws:
+            return np.zeros(len(changes))
         likelihoods = np.zeros(len(rows))
         matrices = np.stack([change.matrix for change in rows])
         late = np.array([change.delay != 0.0 for change in rows])
         every = np.ones(len(rows), bool)
-        nonlinear = any(quantity in identity.nonlinear for identity in self.identities)
+        nonlinear = any(quantity in identity.nonlinear for identity in laws)
         evaluated = np.flatnonzero(every if nonlinear else late)
         corrected = self._corrected(quantity, [rows[i] for i in evaluated.tolist()])
         # A residual gains likelihood merely because a correction makes it smaller.
         shrinking = np.maximum(-np.log(np.linalg.norm(matrices, axis=2)), 0.0).sum(axis=1)
-        for identity in self.identities:
-            if quantity not in identity.linear + identity.nonlinear:
-                continue
+        for identity in laws:
             each = late if quantity in identity.linear else every
             mean, square = np.empty((2, len(rows), 1 if identity.band == 0.0 else 3))
             if each.any():
@@ -256,7 +248,8 @@ class Evidence:
     def _residual(self, identity: Identity, quantity: str, stack: np.ndarray) -> np.ndarray:
         """Residuals (h, i, k) of the inner samples for a quantity's values (h, m, ..)."""
         quantities, signals = {**self.quantities, quantity: stack}, self.signals
-        return signals.low_pass(identity.residual(quantities, signals.rate))[:, signals.inner]
+        residual = identity.residual(quantities, signals.rate)
+        return signals.low_pass(residual)[:, signals.inner]
 
     def _linear_moments(
         self, identity: Identity, quantity: str, matrices: np.ndarray
@@ -289,8 +282,10 @@ class Evidence:
         values[..., :3] = values[..., :3] @ matrices.swapaxes(1, 2)
         if quantity != "attitude":
             return values
+        flat = values.reshape(-1, values.shape[-1])
         if form == "quaternion":
-            rotation = Rotation.from_quat(values.reshape(-1, 4))
-            return rotation.as_matrix().reshape(*values.shape[:2], 3, 3)
-        body, world = self.frames
-        return TO_NED[world].as_matrix() @ matrices_of_angles(values) @ FROM_FRD[body].as_matrix()
+            rotation = Rotation.from_quat(flat)
+        else:
+            body, world = self.frames
+            rotation = TO_NED[world] * Rotation.from_euler("ZYX", flat[:, ::-1]) * FROM_FRD[body]
+        return rotation.as_matrix().reshape(*values.shape[:2], 3, 3)

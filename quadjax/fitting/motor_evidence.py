@@ -72,16 +72,16 @@ class MotorEvidence:
         # Independent samples: of the moments, of the commands.
         self.counts = (signals.count(band[1] - band[0]), signals.count(MOTION))
 
-    def gains(self, cause: str, changes: Sequence[Change]) -> np.ndarray:
-        """Gains (h,) of log-likelihood by changes of the "gyro", the "speeds" or the "commands"."""
+    def gains(self, quantity: str, changes: Sequence[Change]) -> np.ndarray:
+        """Gains (h,) of log-likelihood by changes of "gyro", "rpm" or "followed", else 0."""
         rows = [Change(), *changes]
-        sign = 1.0 if cause == "speeds" else -1.0  # of the delay of the speeds
+        sign = 1.0 if quantity == "rpm" else -1.0  # of the delay of the speeds
         total = np.zeros(len(rows))
-        if cause != "commands":
+        if quantity in ("gyro", "rpm"):
             total += self._moments(rows, sign)
-        if cause != "gyro" and self.followed is not None:
+        if quantity in ("rpm", "followed") and self.followed is not None:
             following = self._following(self.followed, rows, sign)
-            following = following if cause == "speeds" else following.swapaxes(1, 2)
+            following = following if quantity == "rpm" else following.swapaxes(1, 2)
             orders = np.array([change.order for change in rows])[:, None]
             total += np.take_along_axis(following, orders, 1).sum(axis=(1, 2))
         return total[1:] - total[0]

@@ -15,7 +15,6 @@ derivative is regressed on ``s(u) - y``. The steady value s(u) is
   ones; the scale of the speeds then has no effect, and ``w_max`` is that of the base vehicle.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -24,7 +23,7 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.axes import fit_axes
-from quadjax.fitting.flight_log import FlightLog
+from quadjax.fitting.formats import RPM
 from quadjax.fitting.nominal import AXES, EQUATIONS
 from quadjax.fitting.regression import (
     Estimate,
@@ -34,13 +33,13 @@ from quadjax.fitting.regression import (
     solve,
     unknown,
 )
-from quadjax.fitting.samples import CUTOFF, filtered_regressors, prepare, settled
+from quadjax.fitting.samples import CUTOFF, filtered_regressors, prepare
 from quadjax.fitting.signals import derivative, first_order, low_pass
+from quadjax.flights.flight import MOTORS, Flight, Signal
 from quadjax.vehicle.battery import BatteryConfig
 from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.rate import RateConstants
 
-RPM = 30.0 / math.pi  # of 1 rad/s
 TAU = (0.002, 0.5, 0.05)  # s: lowest, highest and typical time constant
 MAP = ("tau", "w_min", "w_max", "k")
 LEAST_GAIN = 0.02  # relative decrease of the error, below which there is no limit
@@ -80,18 +79,14 @@ class Followed(NamedTuple):
 
 
 def _followed(
-    log: FlightLog,
-    rows: np.ndarray,
-    measured: np.ndarray,
-    command: np.ndarray,
-    hover: float = np.inf,
+    log: Flight, rows: np.ndarray, measured: str, command: str, hover: float | None = None
 ) -> Followed:
-    """Some rows (n,) bool of signals and their commands; ``hover`` in rpm."""
+    """Some rows (n,) bool of signals and their commands; load and use with a hover, rpm."""
     index = np.flatnonzero(rows)
     starts = np.flatnonzero(np.concatenate([[True], np.diff(index) > 1]))
-    load = ((log.rpm / hover) ** 3).mean(axis=1)
+    load = np.zeros(len(rows)) if hover is None else ((log["actuators"] / hover) ** 3).mean(axis=1)
     used, time = np.cumsum(load) / log.sample_rate, log.time[rows] - log.time[index[0]]
-    signals = measured[rows], command[rows], log.sample_rate
+    signals = log[measured][rows], log[command][rows], log.sample_rate
     return Followed(*signals, starts, time, load[rows], used[rows])
 
 
@@ -152,7 +147,7 @@ class BatteryFit:
     rmse: float = 0.0
     converged: bool = True
 
-    def error(self, log: FlightLog, hover: float, highest: float) -> float:
+    def error(self, log: Flight, hover: float, highest: float) -> float:
         """Root mean square error, rpm, of the speeds of a flight that was not fitted.
 
         Its charge is not known, so ``a`` is the mean over the fitted flights.
@@ -160,9 +155,10 @@ class BatteryFit:
         Raises:
             InputError: a log without commanded speeds.
         """
-        if log.rpm_command is None:
-            raise InputError(f"{log.path}: no commanded speeds (logs.columns.rpm_command)")
-        part = _followed(log, np.ones(len(log.time), bool), log.rpm, log.rpm_command, hover)
+        if "command" not in log.signals:
+            path = log.source["path"]
+            raise InputError(f"{path}: no commanded speeds (logs.columns.rpm_command)")
+        part = _followed(log, np.ones(len(log.time), bool), "actuators", "command", hover)
         first = float(np.mean(list(self.first.values()))) if self.first else highest
         simulated = part.simulated(self.tau, part.limited(first, self.sag, self.drain))
         return float(np.sqrt(((simulated - part.measured) ** 2).mean()))
@@ -195,7 +191,7 @@ def drain_of(battery: BatteryConfig) -> float:
 
 
 def fit_battery(
-    logs: Sequence[FlightLog],
+    logs: Sequence[Flight],
     hover: float,
     base: BatteryConfig,
     rows: Sequence[np.ndarray] | None = None,
@@ -215,31 +211,26 @@ def fit_battery(
         flight has commanded speeds.
     """
     parts = {
-        log.name: _followed(log, used, log.rpm, log.rpm_command, hover)
+        log.name: _followed(log, used, "actuators", "command", hover)
         for log, used in zip(logs, rows or [np.ones(len(x.time), bool) for x in logs], strict=True)
-        if log.rpm_command is not None and used.any()
+        if "command" in log.signals and used.any()
     }
     flights = list(parts.values())
     first = Parameter("tau", tau, *TAU)
     lag = _fit_lag(flights, "motors", first, "commanded propeller speeds")
     if not parts:
         return lag, None
-    first = first._replace(base=float(lag.values[0]))
+    first = first._replace(base=lag.constants["tau"])
     limit = _fit_limit(parts, first, base)
     if not limit.rmse < (1.0 - LEAST_GAIN) * lag.rmse:
         return lag, BatteryFit(first.base, 0.0, 0.0, rmse=lag.rmse, converged=lag.converged)
-    values, count = limit.constants, len(limit.names) - len(parts)
+    values = limit.constants
     at_start = {name: values[name] for name in parts}
     drain = values["drain"]
     at_end = {name: float(at_start[name] - drain * part.used[-1]) for name, part in parts.items()}
     fitted = values["tau"], values["sag"], drain, at_start, at_end, limit.rmse, limit.converged
-    of_drone = replace(
-        limit,
-        names=limit.names[:count],
-        values=limit.values[:count],
-        standard_errors=limit.standard_errors[:count],
-    )
-    return of_drone, BatteryFit(*fitted)
+    of_drone = {name: value for name, value in values.items() if name not in parts}
+    return replace(limit, constants=of_drone), BatteryFit(*fitted)
 
 
 def _fit_limit(parts: dict[str, Followed], tau: Parameter, base: BatteryConfig) -> Estimate:
@@ -266,7 +257,7 @@ def _fit_limit(parts: dict[str, Followed], tau: Parameter, base: BatteryConfig) 
 
 
 def fit_rate_model(
-    logs: Sequence[FlightLog], rows: Sequence[np.ndarray], base: RateConstants
+    logs: Sequence[Flight], rows: Sequence[np.ndarray], base: RateConstants
 ) -> list[Estimate]:
     """Fit the rate-and-thrust model (INDI) over the flights with commanded rates and thrust.
 
@@ -282,14 +273,15 @@ def fit_rate_model(
         The estimates; empty if no flight has the commands.
     """
     pairs = [
-        (log, used, log.rate_command, log.thrust_command[:, None])
+        (log, used)
         for log, used in zip(logs, rows, strict=True)
-        if log.rate_command is not None and log.thrust_command is not None and used.any()
+        if {"rate_command", "thrust_command"} <= set(log.signals) and used.any()
     ]
     if not pairs:
         return []
-    rates = [_followed(log, used, log.rates, turn) for log, used, turn, _ in pairs]
-    thrusts = [_followed(log, used, -log.specific_force[:, 2:], u) for log, used, _, u in pairs]
+    rates = [_followed(log, used, "rates", "rate_command") for log, used in pairs]
+    forces = [_followed(log, used, "specific_force", "thrust_command") for log, used in pairs]
+    thrusts = [part._replace(measured=-part.measured[:, 2:]) for part in forces]
     lags = [
         _fit_lag(
             parts, name, Parameter(name, float(getattr(base, name)), *TAU), what, LEAST_EXPLAINED
@@ -299,7 +291,7 @@ def fit_rate_model(
             ("tau_thrust", thrusts, "commanded thrust"),
         )
     ]
-    samples = prepare([log for log, *_ in pairs], base, [used for _, used, *_ in pairs])
+    samples = prepare([log for log, _ in pairs], base, [used for _, used in pairs])
     return [replace(estimate, group="rate") for estimate in (*lags, *fit_axes(samples, base))]
 
 
@@ -310,21 +302,20 @@ def steady_speeds(values: np.ndarray, command: np.ndarray) -> np.ndarray:
     return low + (high - low) * np.sqrt(k * u * u + (1.0 - k) * u)
 
 
-def with_simulated_speeds(log: FlightLog, values: np.ndarray) -> FlightLog:
+def with_simulated_speeds(log: Flight, values: np.ndarray) -> Flight:
     """A log with the speeds that its motor commands give; unchanged where they are measured.
 
-    The speeds at its start are not known: the time until they have no effect counts as not flying.
+    The speeds at its start are not known; see ``settled``.
     """
-    if log.speeds_measured:
+    if "actuators" in log.signals:
         return log
-    assert log.motor_command is not None
-    steady = RPM * steady_speeds(values, log.motor_command)
+    steady = RPM * steady_speeds(values, log["motor_command"])
     rpm = first_order(steady, steady[0], values[0], 1.0 / log.sample_rate)
-    return replace(log, rpm=rpm, flying=settled(log))
+    return log.replace(signals=log.signals | {"actuators": Signal(rpm, "rpm", MOTORS)})
 
 
 def fit_motors(
-    logs: Sequence[FlightLog], rows: Sequence[np.ndarray], base: RacingConstants
+    logs: Sequence[Flight], rows: Sequence[np.ndarray], base: RacingConstants
 ) -> Estimate:
     """Fit the motor map and time constant of a racing quadcopter, in the order of ``MAP``.
 
@@ -335,16 +326,17 @@ def fit_motors(
     """
     values = {name: float(getattr(base, name)) for name in MAP}
     pairs = zip(logs, rows, strict=True)
-    flights = [(log, used, u) for log, used in pairs if (u := log.motor_command) is not None]
-    flights = [flight for flight in flights if flight[1].any()]
-    reason = _never_follow([command[used] for _, used, command in flights], "motor commands")
+    flights = [(log, used) for log, used in pairs if "motor_command" in log.signals and used.any()]
+    commands = [log["motor_command"][used] for log, used in flights]
+    reason = _never_follow(commands, "motor commands")
     if reason:
         return unknown("motors", values, reason)
-    measured = [
-        _followed(log, used, log.rpm / RPM, command)
-        for log, used, command in flights
-        if log.speeds_measured
+    followed = [
+        _followed(log, used, "actuators", "motor_command")
+        for log, used in flights
+        if "actuators" in log.signals
     ]
+    measured = [part._replace(measured=part.measured / RPM) for part in followed]
     if measured:
         high = max(*(float(part.measured.max()) for part in measured), values["w_max"])
         limits = {"w_min": (0.0, 0.9 * high), "w_max": (0.1 * high, 10.0 * high)}
@@ -365,7 +357,7 @@ def fit_motors(
             _lag_problem(measured, lambda at, i, part: steady_speeds(at, part.command), **options)
         )
     else:
-        estimate = solve(_unmeasured([flight[:2] for flight in flights], base, options))
+        estimate = solve(_unmeasured(flights, base, options))
     if estimate.r_squared >= EXPLAINED:
         return estimate
     line = (
@@ -376,7 +368,7 @@ def fit_motors(
 
 
 def _unmeasured(
-    flights: Sequence[tuple[FlightLog, np.ndarray]], base: RacingConstants, options: dict[str, Any]
+    flights: Sequence[tuple[Flight, np.ndarray]], base: RacingConstants, options: dict[str, Any]
 ) -> Problem:
     """Forces and moments with the best constants of the rotors for motors of some values."""
     rows = [
@@ -384,8 +376,8 @@ def _unmeasured(
     ]
     signals = []
     for (log, _), index in zip(flights, rows, strict=True):
-        turn = derivative(low_pass(log.rates, log.sample_rate, CUTOFF), log.sample_rate)
-        force = low_pass(log.specific_force[:, 2:], log.sample_rate, CUTOFF)
+        turn = derivative(low_pass(log["rates"], log.sample_rate, CUTOFF), log.sample_rate)
+        force = low_pass(log["specific_force"][:, 2:], log.sample_rate, CUTOFF)
         signals.append(np.concatenate([force, turn], axis=1)[index])
     measured = np.concatenate(signals)
     measured = measured / measured.std(axis=0)

@@ -35,9 +35,8 @@ class Estimate:
 
     Attributes:
         group: that they belong to: an axis, or what they describe.
-        names: of the k parameters.
-        values: (k,).
-        standard_errors: (k,), infinite where the base value is kept.
+        constants: values of the parameters, by name.
+        errors: their standard errors, infinite where the base value is kept.
         condition: of the columns, each scaled to unit size; infinite with a kept base value.
         r_squared: of the signal, over all its columns.
         rmse: of the signal.
@@ -47,25 +46,14 @@ class Estimate:
     """
 
     group: str
-    names: tuple[str, ...]
-    values: np.ndarray
-    standard_errors: np.ndarray
+    constants: dict[str, float]
+    errors: dict[str, float]
     condition: float = np.inf
     r_squared: float = 0.0
     rmse: float = np.nan
     warnings: tuple[str, ...] = ()
     negated: tuple[str, ...] = ()
     converged: bool = True
-
-    @property
-    def constants(self) -> dict[str, float]:
-        """The values by name."""
-        return dict(zip(self.names, map(float, self.values), strict=True))
-
-    @property
-    def errors(self) -> dict[str, float]:
-        """The standard errors by name."""
-        return dict(zip(self.names, map(float, self.standard_errors), strict=True))
 
 
 class Parameter(NamedTuple):
@@ -151,9 +139,8 @@ def solve(problem: Problem) -> Estimate:
         warnings.append(f"{problem.group}: {steps}")
     return Estimate(
         group=problem.group,
-        names=tuple(names),
-        values=values,
-        standard_errors=errors,
+        constants=dict(zip(names, values.tolist(), strict=True)),
+        errors=dict(zip(names, errors.tolist(), strict=True)),
         condition=condition,
         r_squared=explained,
         rmse=float(np.sqrt(square.mean())),
@@ -169,9 +156,8 @@ def solve(problem: Problem) -> Estimate:
 def unknown(group: str, base: dict[str, float], reason: str) -> Estimate:
     """An estimate of which every parameter keeps its base value, for one reason."""
     kept = ", ".join(f"{name} {value:.4g}" for name, value in base.items())
-    values = np.array(list(base.values()), float)
     line = f"{group}: {reason}; the base vehicle's {kept} is kept"
-    return Estimate(group, tuple(base), values, np.full(len(base), np.inf), warnings=(line,))
+    return Estimate(group, base, dict.fromkeys(base, np.inf), warnings=(line,))
 
 
 def check_signs(estimates: Sequence[Estimate]) -> None:

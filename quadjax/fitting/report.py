@@ -89,7 +89,7 @@ def as_json(result: Fit) -> dict[str, object]:
         "training": _prediction_json(result, result.training),
         "held_out": {part.name: _prediction_json(result, part) for part in result.held_out},
         "held_out_pooled": _prediction_json(result, pooled(result.held_out)),
-        "not_checked": {log.name: list(log.unchecked) for log in result.logs},
+        "not_checked": {log.name: log.source["unchecked"] for log in result.logs},
         "choices": {
             result.split.names[min(left_out)] if left_out else "final": {
                 axis: vars(choice) for axis, choice in fit.choices.items()
@@ -134,10 +134,10 @@ def _notes(result: Fit) -> dict[str, dict[str, str]]:
     for fit in result.estimates:
         model = "rate" if fit.group == "rate" else result.model
         kept = fit.group in result.kept
-        notes.setdefault(model, {}).update(
-            (name, f"+- {error:.2g}" if np.isfinite(error) and not kept else "the base vehicle's")
-            for name, error in fit.errors.items()
-        )
+        for name in fit.constants:
+            error = np.inf if kept else fit.errors[name]
+            note = f"+- {error:.2g}" if np.isfinite(error) else "the base vehicle's"
+            notes.setdefault(model, {})[name] = note
     return notes
 
 

@@ -15,16 +15,17 @@ trained on. Test rows are used for no choice; they are only predicted.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import SplitConfig
-from quadjax.fitting.flight_log import FlightLog
+from quadjax.fitting.motor_evidence import typical_speeds
 from quadjax.fitting.nominal import Constants, ModelInputs, angular_moment, regressors
 from quadjax.fitting.signals import Rows, concatenated, derivative, low_pass, noise_level
+from quadjax.flights.flight import Flight
 
 CUTOFF = 16.0  # Hz
 AIRBORNE = 0.5  # of the flight's median rpm, below which it is on the ground
@@ -51,12 +52,12 @@ class Samples(struct.PyTreeNode, Rows):
     sample_rate: float = struct.field(pytree_node=False)  # Hz
 
 
-def settled(log: FlightLog) -> np.ndarray:
+def settled(log: Flight) -> np.ndarray:
     """Samples (n,) bool in flight at which the unknown speeds of the start have no effect."""
     return log.flying & (log.time - log.time[0] > SETTLING)
 
 
-def airborne(log: FlightLog, min_seconds: float = 0.0) -> np.ndarray:
+def airborne(log: Flight, min_seconds: float = 0.0) -> np.ndarray:
     """Rows (n,) bool in flight: by the log's mode and the propeller speeds.
 
     Speeds below a fraction of the flight's median count as on the ground at both ends of the log,
@@ -66,25 +67,29 @@ def airborne(log: FlightLog, min_seconds: float = 0.0) -> np.ndarray:
     Raises:
         InputError: no flight, or less than ``min_seconds`` of it.
     """
-    mean = log.rpm.mean(axis=1)
-    if not log.flying.any():
-        raise InputError(f"{log.path}: the log's mode is never above 0: no flight")
-    spinning = mean >= AIRBORNE * np.median(mean[log.flying])
+    path, flying = log.source["path"], log.flying
+    if not flying.any():
+        raise InputError(f"{path}: the log's mode is never above 0: no flight")
+    if "actuators" in log.signals:
+        mask, speeds = flying.copy(), log["actuators"]
+    else:
+        mask, speeds = settled(log), typical_speeds(log["motor_command"], log.sample_rate)
+    mean = speeds.mean(axis=1)
+    spinning = mean >= AIRBORNE * np.median(mean[flying])
     edges = np.flatnonzero(np.diff(np.concatenate([[True], spinning, [True]])))
-    mask = log.flying.copy() if log.speeds_measured else settled(log)
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         at_an_end = start == 0 or stop == len(mean)
         if at_an_end or stop - start > PAUSE * log.sample_rate:
             mask[start:stop] = False
     if mask.sum() < min_seconds * log.sample_rate:
         raise InputError(
-            f"{log.path}: {mask.sum() / log.sample_rate:.3g} s of flight, expected at least "
+            f"{path}: {mask.sum() / log.sample_rate:.3g} s of flight, expected at least "
             f"{min_seconds:g} s (logs.min_seconds)"
         )
     return mask
 
 
-def prepare(logs: Sequence[FlightLog], constants: Constants, rows: Sequence[np.ndarray]) -> Samples:
+def prepare(logs: Sequence[Flight], constants: Constants, rows: Sequence[np.ndarray]) -> Samples:
     """Inputs, regressors and targets of some rows of flights.
 
     Args:
@@ -103,15 +108,15 @@ def prepare(logs: Sequence[FlightLog], constants: Constants, rows: Sequence[np.n
     return concatenated([part.replace(sample_rate=rate) for part in parts])
 
 
-def filtered_regressors(log: FlightLog, constants: Constants) -> dict[str, np.ndarray]:
+def filtered_regressors(log: Flight, constants: Constants) -> dict[str, np.ndarray]:
     """Regressors (n, k) of the measured signals by axis, filtered."""
-    rate = log.sample_rate
-    motion = ModelInputs(log.rpm, derivative(log.rpm, rate), log.body_velocity, log.rates)
+    rate, rpm = log.sample_rate, log["actuators"]
+    motion = ModelInputs(rpm, derivative(rpm, rate), log["body_velocity"], log["rates"])
     columns = regressors(motion, constants)
     return {axis: low_pass(values, rate, CUTOFF) for axis, values in columns.items()}
 
 
-def _prepare_one(log: FlightLog, index: int, constants: Constants) -> Samples:
+def _prepare_one(log: Flight, index: int, constants: Constants) -> Samples:
     rate, random = log.sample_rate, np.random.default_rng(index)
 
     def smooth(signal: np.ndarray) -> np.ndarray:
@@ -120,23 +125,18 @@ def _prepare_one(log: FlightLog, index: int, constants: Constants) -> Samples:
     def noisier(signal: np.ndarray) -> np.ndarray:
         return signal + noise_level(signal, rate, CUTOFF) * random.normal(size=signal.shape)
 
-    still = np.zeros_like(log.rates)
-    rates, rpm = smooth(log.rates), smooth(log.rpm)
+    still = np.zeros_like(log["rates"])
+    rates, rpm = smooth(log["rates"]), smooth(log["actuators"])
     moment = angular_moment(constants, still, derivative(rates, rate))
-    moment += smooth(angular_moment(constants, log.rates, still))
+    moment += smooth(angular_moment(constants, log["rates"], still))
     exact = filtered_regressors(log, constants)
-    again = replace(
-        log,
-        rpm=noisier(log.rpm),
-        body_velocity=noisier(log.body_velocity),
-        rates=noisier(log.rates),
-    )
-    noisy = filtered_regressors(again, constants)
+    again = {name: noisier(log[name]) for name in ("actuators", "body_velocity", "rates")}
+    noisy = filtered_regressors(log.with_signals(**again), constants)
     return Samples(
-        motion=ModelInputs(rpm, derivative(rpm, rate), smooth(log.body_velocity), rates),
+        motion=ModelInputs(rpm, derivative(rpm, rate), smooth(log["body_velocity"]), rates),
         regressors=exact,
         noise={axis: noisy[axis] - columns for axis, columns in exact.items()},
-        measured=np.concatenate([smooth(log.specific_force), moment], axis=1),
+        measured=np.concatenate([smooth(log["specific_force"]), moment], axis=1),
         flight=np.full(len(log.time), index),
         time=log.time - log.time[0],
         sample_rate=rate,

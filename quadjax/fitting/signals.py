@@ -26,13 +26,14 @@ def concatenated(parts: Sequence[Table]) -> Table:
     return jax.tree.map(lambda *values: np.concatenate(values), *parts)
 
 
-def low_pass(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarray:
-    """Zero-phase second-order Butterworth low-pass along the first axis.
+def low_pass(signal: np.ndarray, sample_rate: float, cutoff: float, axis: int = 0) -> np.ndarray:
+    """Zero-phase second-order Butterworth low-pass.
 
     Args:
-        signal: (n, ..) evenly spaced samples.
+        signal: evenly spaced samples along ``axis``.
         sample_rate: Hz.
         cutoff: Hz; forwards and backwards, so -6 dB there.
+        axis: of the samples.
 
     Raises:
         InputError: a cut-off that is not between zero and half the sample rate.
@@ -42,7 +43,7 @@ def low_pass(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarra
             f"a sample rate of {sample_rate:.4g} Hz is too low for a low-pass of {cutoff:g} Hz, "
             f"allowed: above {2.0 * cutoff:g} Hz"
         )
-    return sosfiltfilt(butter(2, cutoff, fs=sample_rate, output="sos"), signal, axis=0)
+    return sosfiltfilt(butter(2, cutoff, fs=sample_rate, output="sos"), signal, axis=axis)
 
 
 def derivative(signal: np.ndarray, sample_rate: float) -> np.ndarray:

@@ -90,9 +90,21 @@ class Flight:
         return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
 
     @property
+    def sample_rate(self) -> float:
+        """Mean number of samples per second, Hz."""
+        return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
+
+    @property
     def speed(self) -> np.ndarray:
         """Speed (n,), m/s."""
         return np.linalg.norm(self["velocity"], axis=1)
+
+    @property
+    def flying(self) -> np.ndarray:
+        """Whether in flight (n,) bool, by the signal "flying"; always without it."""
+        if "flying" not in self.signals:
+            return np.ones(len(self.time), bool)
+        return self["flying"][:, 0] > 0.0
 
     @property
     def rotation(self) -> Rotation:
@@ -152,13 +164,8 @@ class Flight:
         return self.slice(slice(0, int(np.searchsorted(self.time, seconds + 1e-9))))
 
     def airborne(self) -> Self:
-        """From the first to the last sample that "flying" marks, from time 0.
-
-        All of a flight without this signal; no sample where it marks none.
-        """
-        if "flying" not in self.signals:
-            return self.slice(slice(None), from_zero=True)
-        (flying,) = np.nonzero(self["flying"][:, 0])
+        """From the first to the last sample in flight, from time 0; no sample without one."""
+        (flying,) = np.nonzero(self.flying)
         rows = slice(int(flying[0]), int(flying[-1]) + 1) if len(flying) else slice(0, 0)
         return self.slice(rows, from_zero=True)
 

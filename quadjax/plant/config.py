@@ -31,7 +31,6 @@ Range = Annotated[tuple[Fraction, Fraction], ORDERED]  # a number is drawn betwe
 Lever = Annotated[float, Field(ge=-1.0, le=1.0)]
 
 MAX_LATENCY = 60  # samples, of a motion capture pose
-LEAST_PHYSICS_RATE = 500.0  # Hz
 
 
 @register
@@ -220,13 +219,11 @@ class PlantConfig(Section):
     vehicle: str = Field("bebop1.yaml", description="the training model's file in configs/vehicles")
     mass: Positive = Field(0.389, description="kg")
     sample_rate: float = Field(
-        500.0, gt=0, le=100_000, description="Hz, of sensors, filters and inner loop"
+        500.0, ge=500, le=100_000, description="Hz, of physics, sensors, filters and inner loop"
     )
     control_rate: float = Field(
         500.0, gt=0, le=100_000, description="Hz, of the policy; divides sample_rate"
     )
-    substeps: int = Field(1, ge=1, le=100, description="physics steps per sample")
-    integrator: Literal["euler", "rk4"] = Field("rk4", description="of a physics step")
     navigation: Literal["ekf", "ground_truth"] = Field("ekf", description="observed state")
     disturbance: Literal["ground_truth", "estimated", "none"] = Field(
         "estimated", description="observed external moment and force"
@@ -250,11 +247,9 @@ class PlantConfig(Section):
         rate, sensors = self.sample_rate, self.sensors
         half, most = f"below half the sample_rate, {0.5 * rate:g} Hz", MAX_LATENCY / rate
         whole = f"sample_rate, {rate:g} Hz, divided by a whole number"
-        fast = f"sample_rate x substeps of at least {LEAST_PHYSICS_RATE:g} Hz"
         late = f"0 to {most:g} s ({MAX_LATENCY} samples)"
         for key, is_possible, allowed in (
             ("control_rate", rate % self.control_rate == 0, whole),
-            ("substeps", rate * self.substeps >= LEAST_PHYSICS_RATE, fast),
             ("indi.cutoff", self.indi.cutoff < 0.5 * rate, half),
             ("sensors.gyro.low_pass", sensors.gyro.low_pass < 0.5 * rate, f"0 (none) or {half}"),
             (

@@ -101,14 +101,6 @@ class EkfState(struct.PyTreeNode):
     before: InertialSample  # the one before it
 
 
-class PresentEstimate(struct.PyTreeNode):
-    """The estimate of the present."""
-
-    motion: MotionEstimate
-    rates: Vec3  # rad/s, body
-    specific_force: Vec3  # m/s^2, body
-
-
 def ekf_params(sensors: SensorsConfig, sample_rate: float, gravity: float = 9.81) -> EkfParams:
     """The filter for the sensors of a config.
 
@@ -323,11 +315,12 @@ def _innovation(
     return jnp.concatenate([(fix.position - expected).array(), quaternion.logarithm(error).array()])
 
 
-def estimate(params: EkfParams, state: EkfState) -> PresentEstimate:
-    """The present state of one drone: the delayed estimate predicted over the buffered samples.
+def estimate(params: EkfParams, state: EkfState) -> tuple[MotionEstimate, Vec3]:
+    """The present motion and body rates, rad/s, of one drone.
 
-    Rates and specific force are the newest sample less its bias, extrapolated by the low-pass's
-    delay along the last difference.
+    The motion is the delayed estimate predicted over the buffered samples. Rates and the last
+    specific force are the newest sample, extrapolated by the low-pass's delay along the last
+    difference.
 
     Args:
         params: of the filter.
@@ -346,4 +339,4 @@ def estimate(params: EkfParams, state: EkfState) -> PresentEstimate:
     # The rest has no measurement: extrapolated rates and force.
     now = InertialSample(gyro, force, params.late)
     present, _ = advance(params.gravity, motion, last, now)
-    return PresentEstimate(present, gyro - motion.gyro_bias, force - motion.force_bias)
+    return present, gyro - present.gyro_bias

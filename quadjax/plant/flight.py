@@ -10,9 +10,9 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.materialize import materializing
-from quadjax.core.vectors import Rotors, Vec3
+from quadjax.core.vectors import Rotors
 from quadjax.plant import gusts, onboard, plant, sensors
-from quadjax.plant.onboard import OnboardParams, OnboardState
+from quadjax.plant.onboard import OnboardParams, OnboardState, StateEstimate
 from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.policy.pilot import Pilot, fly
 from quadjax.race import environment, laps
@@ -57,10 +57,7 @@ class Frame(struct.PyTreeNode):
     """Record of one control step."""
 
     true: RigidBodyState  # with the external moment and force that the policy observed
-    estimated: RigidBodyState
-    gyro: Vec3  # rad/s, as measured
-    accelerometer: Vec3  # m/s^2, as measured
-    force_bias: Vec3  # m/s^2, estimated
+    estimate: StateEstimate
     command: Rotors | RateCommand  # of the policy
     rpm_command: Rotors  # rpm, in the last sample of the step
     thrust: jax.Array | None  # m/s^2, () of the inner loop, of a policy that commands it
@@ -208,10 +205,7 @@ def frame_of(plan: Plan, drones: Drones, command: Rotors | RateCommand, rotors: 
             moment_ext=now.motion.moment_ext,
             force_ext=now.motion.force_ext,
         ),
-        estimated=now.motion,
-        gyro=now.gyro,
-        accelerometer=now.accelerometer,
-        force_bias=now.force_bias,
+        estimate=now,
         command=command,
         rpm_command=rotors,
         thrust=drones.onboard.inner.thrust if isinstance(command, RateCommand) else None,

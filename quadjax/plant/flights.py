@@ -232,17 +232,17 @@ def log_quantities(flights: Flights, run: int, gates: np.ndarray) -> dict[str, n
         run: index of the recorded run.
         gates: (gates, 3) centers, m, world.
     """
-    frames = flights.frames
+    frames, now = flights.frames, flights.frames.estimate
     target = gates[np.asarray(frames.target)[~frames.over[:, run], run]]
     vectors = {
-        "position": frames.estimated.position,
-        "world_velocity": frames.estimated.velocity,
-        "euler": frames.estimated.euler,
-        "gyro": frames.gyro,
-        "rpm": frames.estimated.actuators,
+        "position": now.motion.position,
+        "world_velocity": now.motion.velocity,
+        "euler": now.motion.euler,
+        "gyro": now.gyro,
+        "rpm": now.motion.actuators,
         "rpm_command": frames.rpm_command,
-        "acceleration": frames.accelerometer,
-        "acceleration_bias": frames.force_bias,
+        "acceleration": now.accelerometer,
+        "acceleration_bias": now.force_bias,
     }
     if isinstance(frames.command, RateCommand):
         vectors["rate_command"] = frames.command.rates

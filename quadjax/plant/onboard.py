@@ -156,11 +156,10 @@ def _estimate(
         position, velocity, euler, rates = truth.position, truth.velocity, truth.euler, truth.rates
         gyro_bias = force_bias = none
     else:
-        now = ekf.estimate(params.ekf, filtered)
+        now, rates = ekf.estimate(params.ekf, filtered)
         rpm, gyro, accelerometer = measured.rpm, measured.gyro, measured.accelerometer
-        position, velocity, rates = now.motion.position, now.motion.velocity, now.rates
-        euler = quaternion.to_euler(now.motion.attitude)
-        gyro_bias, force_bias = now.motion.gyro_bias, now.motion.force_bias
+        position, velocity, euler = now.position, now.velocity, quaternion.to_euler(now.attitude)
+        gyro_bias, force_bias = now.gyro_bias, now.force_bias
     motion = RigidBodyState(position, velocity, euler, rates, rpm, none, none)
     body_velocity = motion.to_body(velocity)
     measurement = Measurement(gyro - gyro_bias, accelerometer - force_bias, rpm, body_velocity)

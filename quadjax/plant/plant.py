@@ -16,7 +16,7 @@ from quadjax.core.frames import (
     world_to_body,
     wrap_angle,
 )
-from quadjax.core.integrators import INTEGRATORS
+from quadjax.core.integrators import rk4_step
 from quadjax.core.materialize import Caller, call_directly
 from quadjax.core.traced import as_leaves
 from quadjax.core.vectors import Rotors, Vec3
@@ -63,8 +63,6 @@ class PlantParams(struct.PyTreeNode):
     step: jax.Array  # s, of one sample
     command_delay: int = struct.field(pytree_node=False, default=0)  # samples
     measurement_delay: int = struct.field(pytree_node=False, default=0)  # samples
-    substeps: int = struct.field(pytree_node=False, default=1)  # physics steps in a sample
-    integrator: str = struct.field(pytree_node=False, default="rk4")
 
 
 class Physics(struct.PyTreeNode):
@@ -124,8 +122,6 @@ def build_plant(config: PlantConfig) -> PlantParams:
         step=jnp.float32(1.0 / rate),
         command_delay=round(config.delay.command * rate),
         measurement_delay=round(config.delay.measurement * rate),
-        substeps=config.substeps,
-        integrator=config.integrator,
     )
 
 
@@ -242,20 +238,12 @@ def update(
     low, high = motor.MODEL.command_range(params.vehicle.constants)
     held = jax.tree.map(jnp.clip, command, low, high)
     applied, *waiting = (*state.commands, held)
-    physics, integrate = state.physics, INTEGRATORS[params.integrator]
     wind = gusts.velocity(params.gusts, state.gusts) * params.effects.gusts
 
-    def advance(_: int, now: Physics) -> Physics:
-        return integrate(
-            lambda at: call(derivative, params, at, applied, wind),
-            now,
-            params.step / params.substeps,
-        )
+    def slope(physics: Physics) -> Physics:
+        return call(derivative, params, physics, applied, wind)
 
-    if params.substeps == 1:
-        physics = advance(0, physics)
-    else:
-        physics = jax.lax.fori_loop(0, params.substeps, advance, physics)
+    physics = rk4_step(slope, state.physics, params.step)
     euler = physics.body.euler
     assert isinstance(euler, Vec3)
     body = physics.body.replace(euler=euler.replace(z=wrap_angle(euler.z)))

@@ -15,7 +15,7 @@ ARM, ROTOR = 0.12, 0.076  # m, center to rotor and radius of a rotor, of a Bebop
 RECORD = "quadjax-flights/1"  # format of the data of a page
 MISSING = -32768  # of its integers: no value
 TURNS = {"rpm": 1.0 / 60.0, "rad/s": 0.5 / np.pi}  # per second, of one unit of a rotor speed
-NOT_IN_A_STRIP = ("position", "velocity", "attitude", "target", "flying")
+NOT_IN_A_STRIP = ("position", "velocity", "body_velocity", "attitude", "target", "flying")
 FIRST = ("command", "actuators", "rates")  # of the strips
 QUANTITIES = {"rad/s": "body rates", "m/s^2": "thrust", "N": "rotor thrust"}  # of commands
 

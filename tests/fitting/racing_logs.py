@@ -7,6 +7,8 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
+from .flights import runge_kutta
+
 G, RATE = 9.81, 500.0
 ORDER = ("front_left", "front_right", "rear_right", "rear_left")
 ROLL, PITCH = np.array([1.0, -1.0, -1.0, 1.0]), np.array([1.0, 1.0, -1.0, -1.0])
@@ -41,20 +43,14 @@ def forces(c, w, w_rate, v, rates):
     return force, np.array([roll, pitch, yaw])
 
 
-def _matrix(q):
-    w, x, y, z = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+def _matrix(x):
+    """Body to world, of a state."""
+    return Rotation.from_quat(x[[7, 8, 9, 6]]).as_matrix()
 
 
 def _slope(c, x, u):
     v, q, rates, w = x[3:6], x[6:10], x[10:13], x[13:]
-    matrix = _matrix(q / np.sqrt(q @ q))
+    matrix = _matrix(x)
     w_rate = (steady(c, u) - w) / c["tau"]
     force, spin = forces(c, w, w_rate, matrix.T @ v, rates)
     p, r, s = rates
@@ -63,7 +59,7 @@ def _slope(c, x, u):
 
 
 def _command(c, x, target, hover, mixer):
-    matrix = _matrix(x[6:10])
+    matrix = _matrix(x)
     roll, pitch = np.arctan2(matrix[2, 1], matrix[2, 2]), -np.arcsin(np.clip(matrix[2, 0], -1, 1))
     yaw = np.arctan2(matrix[1, 0], matrix[0, 0])
     turn = (target[2] - yaw + np.pi) % (2 * np.pi) - np.pi
@@ -97,11 +93,7 @@ def fly(c, seed, seconds, size=1.0):
         u = _command(c, x, target, hover, mixer)
         states.append(x)
         commands.append(u)
-        k1 = _slope(c, x, u)
-        k2 = _slope(c, x + 0.5 * dt * k1, u)
-        k3 = _slope(c, x + 0.5 * dt * k2, u)
-        k4 = _slope(c, x + dt * k3, u)
-        x = x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        x = runge_kutta(lambda x, u=u: _slope(c, x, u), x, dt)
         x[6:10] /= np.sqrt(x[6:10] @ x[6:10])
     s = np.array(states)
     attitude = Rotation.from_quat(s[:, [7, 8, 9, 6]])

@@ -6,9 +6,10 @@ import pytest
 
 from quadjax.core.vectors import Rotors
 from quadjax.fitting import regression
-from quadjax.fitting.flight_log import FlightLog
+from quadjax.fitting.flight_log import log_flight
 from quadjax.fitting.motors import BatteryFit, drain_of
 from quadjax.fitting.motors import fit_battery as fit_lag_and_battery
+from quadjax.flights import Flight
 from quadjax.refit import Model, changes
 from quadjax.vehicle.battery import BatteryConfig, battery_params, highest_rpm
 
@@ -22,7 +23,7 @@ def fit_battery(logs, hover, base):
 
 def flight(
     charge: float, seed: int, battery: BatteryConfig | None = BATTERY, seconds: int = 8
-) -> FlightLog:
+) -> Flight:
     """Motors that follow steps of the command under a battery, with noise, by Euler's method."""
     random = np.random.default_rng(seed)
     count, step = seconds * int(RATE), 1.0 / RATE
@@ -41,16 +42,11 @@ def flight(
         kept = np.exp(-step / TAU)
         speed = kept * speed + (1.0 - kept) * np.minimum(command[index], top)
     nothing = np.zeros((count, 3))
-    log = FlightLog(
-        *(
-            f"flight_{seed}",
-            "",
-            step * np.arange(count),
-            rpm + 20.0 * random.normal(size=(count, 4)),
-        ),
-        *(command, None, None, nothing, nothing, nothing, np.ones(count, bool), None, None),
+    quantities = {"time": step * np.arange(count), "rpm_command": command}
+    quantities |= dict.fromkeys(("gyro", "acceleration", "body_velocity"), nothing)
+    return log_flight(
+        f"flight_{seed}", quantities | {"rpm": rpm + 20.0 * random.normal(size=(count, 4))}
     )
-    return log
 
 
 def test_lag_and_limit_are_found_and_predict_a_flight_of_another_charge():

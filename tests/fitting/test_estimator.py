@@ -1,7 +1,6 @@
 """The onboard estimate of a disturbance, on flights of the float64 reference model."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
@@ -101,38 +100,3 @@ def test_jax_and_float64_reference_agree(flight):
     expected = estimate(DRONE, signals, rate, explicit_euler=euler)
     assert np.abs(moment - expected[0]).max() < 1e-5
     assert np.abs(force - expected[1]).max() < 1e-5
-
-
-def test_batches_and_differentiates():
-    vehicle, ones = VehicleParams(BEBOP), np.ones(5, np.float32)
-    three = Vec3(ones, ones, ones)
-    batch = Measurement(three, three, Rotors.same(7000.0 * ones), three)
-
-    @jax.jit
-    def update(cutoff):
-        params = estimator.estimator_params(motor.MODEL, vehicle, 100.0, cutoff)
-
-        def total(measured):
-            return estimator.update(params, estimator.init(params, measured), measured)[1:]
-
-        return tuple(x.array() for x in jax.vmap(total)(batch))
-
-    moment, force = update(8.0)
-    assert moment.shape == force.shape == (5, 3)
-    slope = jax.jit(jax.grad(lambda cutoff: update(cutoff)[1][0, 2]))(8.0)
-    assert np.isfinite(slope)
-
-
-def test_a_steady_start_is_no_disturbance():
-    @jax.jit
-    def estimated():
-        params = estimator.estimator_params(motor.MODEL, VehicleParams(BEBOP), 100.0)
-        still = Vec3.zero()
-        rpm = Rotors.same(motor.hover_rpm(BEBOP))
-        at_rest = Measurement(still, still.replace(z=jnp.asarray(-9.81)), rpm, still)
-        found = estimator.update(params, estimator.init(params, at_rest), at_rest)
-        return tuple(x.array() for x in found[1:])
-
-    moment, force = estimated()
-    np.testing.assert_allclose(moment, 0.0, atol=1e-7)
-    np.testing.assert_allclose(force, 0.0, atol=1e-5)

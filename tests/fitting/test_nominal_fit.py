@@ -56,11 +56,12 @@ def test_a_constant_of_an_impossible_sign_keeps_its_value_and_the_others_account
         noise=np.zeros_like(columns),
     )
     fit = solve(problem)
+    values = np.array(list(fit.constants.values()))
     others = np.array([name != "k_z" for name in names])
     remainder = measured - 0.4 * columns[:, ~others][:, 0]
     expected = np.linalg.lstsq(columns[:, others], remainder, rcond=None)[0]
-    np.testing.assert_allclose(fit.values[~others], 0.4)
-    np.testing.assert_allclose(fit.values[others], expected, rtol=1e-9)
+    np.testing.assert_allclose(values[~others], 0.4)
+    np.testing.assert_allclose(values[others], expected, rtol=1e-9)
     assert any("k_z" in line and "impossible" in line for line in fit.warnings)
 
 
@@ -107,8 +108,8 @@ def test_constants_of_a_known_model_come_back(bebop, flights):
     worst = 0.0
     for fit in fit_axes(samples, bebop.replace(k_w=1.0)):
         assert not fit.warnings and fit.condition < 10.0 and fit.r_squared > 0.97
-        for name, value, error in zip(fit.names, fit.values, fit.standard_errors, strict=True):
-            truth = getattr(bebop, name)
+        for name, value in fit.constants.items():
+            truth, error = getattr(bebop, name), fit.errors[name]
             worst = max(worst, abs(value / truth - 1.0))
             assert abs(value / truth - 1.0) < 0.02, name
             assert abs(value - truth) < 3.0 * error, name
@@ -118,8 +119,14 @@ def test_constants_of_a_known_model_come_back(bebop, flights):
 def test_motor_lag_comes_back(flights):
     fit = lag_of(flights, 0.1)
     assert abs(fit.constants["tau"] / 0.06 - 1.0) < 0.01 and fit.r_squared > 0.99
-    assert not fit.warnings and fit.names == ("tau",)
-    unknown = lag_of([replace(log, rpm_command=None) for log in flights], 0.1)
+    assert not fit.warnings and list(fit.constants) == ["tau"]
+    unknown = lag_of(
+        [
+            log.replace(signals={k: x for k, x in log.signals.items() if k != "command"})
+            for log in flights
+        ],
+        0.1,
+    )
     assert unknown.constants["tau"] == 0.1 and "no commanded" in unknown.warnings[0]
 
 
@@ -152,15 +159,15 @@ def test_constants_of_an_impossible_sign_are_refused(bebop, flights):
     measured = np.array(samples.measured)
     measured[:, 5] -= 0.002 * samples.regressors["Mz"][:, 2]
     kept = fit_axes(replace(samples, measured=measured), bebop)[5]
-    assert kept.values[2] == bebop.k_rr and "impossible below 0" in kept.warnings[0]
+    assert kept.constants["k_rr"] == bebop.k_rr and "impossible below 0" in kept.warnings[0]
 
 
 def test_ground_time_is_trimmed(bebop, flights):
     log = flights[0]
-    idle = np.array(log.rpm)
+    idle = np.array(log["actuators"])
     idle[:500], idle[-250:] = 2500.0, 2500.0
     idle[1000:1025] = 2500.0  # a dive, not a landing
-    rows = airborne(replace(log, rpm=idle))
+    rows = airborne(log.with_signals(actuators=idle))
     assert not rows[:500].any() and not rows[-250:].any() and rows[500:-250].all()
 
 

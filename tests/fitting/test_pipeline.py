@@ -86,18 +86,12 @@ def test_the_choice_of_constants_for_a_held_out_flight_is_made_without_it(bebop,
     [
         ["residual.hiden=3"],
         ["residual.seeds=many"],
-        ["split.by=rows"],
         ["vehicle=nowhere.yaml"],
         ["body.inertia=null"],
-        ["body.inertia=[1, 2]"],
         ["body.rpm_range=[5000, 3000]"],
-        ["split.folds=1"],
-        ["logs.format=betaflight"],
         ["logs.columns.rpms=[a]"],
         ["logs.columns.rpm=[a]"],
-        ["logs.units.rpm=Hz"],
         ["logs.min_seconds=100"],
-        ["nonsense"],
     ],
 )
 def test_bad_overrides_are_one_line(folder, arguments):

@@ -1,6 +1,5 @@
 """The rate-and-thrust model from flights with an inner loop: known constants come back."""
 
-import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -38,14 +37,13 @@ def following(seed, path):
     commands = {"rate_command": rates, "thrust_command": thrust}
     write_log(path, columns | paparazzi_columns(commands))
     flight = read_log(path, LogsConfig(format="paparazzi"))
-    np.testing.assert_allclose(flight.rate_command, rates, rtol=1e-6)
-    np.testing.assert_allclose(flight.thrust_command, thrust[:, 0], rtol=1e-6)
-    v = flight.body_velocity
+    np.testing.assert_allclose(flight["rate_command"], rates, rtol=1e-6)
+    np.testing.assert_allclose(flight["thrust_command"], thrust, rtol=1e-6)
+    v = flight["body_velocity"]
     lift = first_order(thrust, thrust[0], TRUE["tau_thrust"], 1.0 / RATE)
     force = np.stack([-TRUE["d_x"] * v[:, 0], -TRUE["d_y"] * v[:, 1], -lift[:, 0]], axis=1)
     followed = first_order(rates, rates[0], TRUE["tau_rate"], 1.0 / RATE)
-    return dataclasses.replace(
-        flight,
+    return flight.with_signals(
         rates=followed + random.normal(0.0, 0.01, (count, 3)),
         specific_force=force + random.normal(0.0, 0.3, (count, 3)),
     )
@@ -62,7 +60,7 @@ def fitted(logs):
     found = fit_rate_model(logs, [airborne(log) for log in logs], base)
     tables = [(part.constants, part.errors) for part in found]
     values, errors = ({k: x for t in tables for k, x in t[i].items()} for i in (0, 1))
-    explained = {part.names[0]: part.r_squared for part in found}
+    explained = {next(iter(part.constants)): part.r_squared for part in found}
     return SimpleNamespace(
         values=values,
         standard_errors=errors,
@@ -80,14 +78,14 @@ def test_known_constants_come_back(logs):
 
 
 def test_commands_that_never_change_keep_the_base_value(log):
-    still = dataclasses.replace(log, rate_command=np.zeros_like(log.rate_command))
+    still = log.with_signals(rate_command=0.0 * log["rate_command"])
     fit = fitted([still])
     assert fit.values["tau_rate"] == 0.03 and "never change" in fit.warnings[0]
 
 
 def test_the_order_of_the_flights_has_no_influence(log):
     """Blocks of half a second, from which standard errors are computed, end with a flight."""
-    parts = [log[:833], log[833:]]
+    parts = [log.slice(slice(0, 833)), log.slice(slice(833, None))]
     first, second = fitted(parts), fitted(parts[::-1])
     for name in TRUE:
         assert first.values[name] == pytest.approx(second.values[name], rel=1e-4)

@@ -4,8 +4,7 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.fitting.config import BodyConfig
-from quadjax.fitting.fit import with_body
+from quadjax.fitting.config import BodyConfig, with_body
 from quadjax.vehicle.vehicle_file import read_vehicle, write_vehicle
 
 from .conftest import REPOSITORY

@@ -157,7 +157,7 @@ def filtered(config: SensorsConfig, seed: int, noise: float = 1.0, drones: int =
     time = np.arange(801) / RATE
     motion = loop(time)
     found = _filter(own, params, truth_of(motion, drones), jax.random.key(seed))
-    states, present, biases = jax.tree.map(np.float64, found)
+    states, (present, rates), biases = jax.tree.map(np.float64, found)
     late = params.lag / RATE + float(params.late)
     then = {name: x[1:, None] for name, x in loop(np.maximum(time - late, 0.0)).items()}
     now = {name: x[1:, None] for name, x in motion.items()}
@@ -175,11 +175,10 @@ def filtered(config: SensorsConfig, seed: int, noise: float = 1.0, drones: int =
         ),
         covariance=np.moveaxis(states.covariance, -1, 1),
         present={
-            "position": now["position"] - present.motion.position.array(),
-            "velocity": now["velocity"] - present.motion.velocity.array(),
-            "attitude": _turned(now["attitude"], present.motion.attitude),
-            "rates": now["rates"] - present.rates.array(),
-            "force": now["force"] - present.specific_force.array(),
+            "position": now["position"] - present.position.array(),
+            "velocity": now["velocity"] - present.velocity.array(),
+            "attitude": _turned(now["attitude"], present.attitude),
+            "rates": now["rates"] - rates.array(),
         },
     )
 

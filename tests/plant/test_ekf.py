@@ -1,4 +1,3 @@
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -74,35 +73,3 @@ def test_correction_agrees_with_the_float64_reference(params, seed):
     np.testing.assert_array_equal(got, got.T)
     assert np.linalg.eigvalsh(correlation(got, got)).min() > 0
     assert (np.diag(got)[:3] < 0.7 * np.diag(dense)[:3]).all()
-
-
-def test_a_pose_between_two_samples_is_bridged(params):
-    state, dense, samples = random_filter(7)
-    offset = 8e-4
-    later = reference.advance(
-        state, *(np.float64(v.array()) for v in (samples[1].gyro, samples[1].force)), offset
-    )
-    fix = Fix(vec3(later.position), quaternion_of(later.attitude), jnp.float32(1.0))
-    bridged = params.replace(offset=jnp.float32(offset))
-    motion, _ = ekf.correct(
-        bridged, motion_of(state), jnp.asarray(dense, jnp.float32), samples[1], fix
-    )
-    change = np.abs(nominal_of(motion).minus(state)) / np.sqrt(np.diag(dense))
-    assert change.max() < 2e-3  # the pose says what was known already
-    ignored = params.replace(offset=jnp.float32(0.0))
-    motion, _ = ekf.correct(
-        ignored, motion_of(state), jnp.asarray(dense, jnp.float32), samples[1], fix
-    )
-    assert (np.abs(nominal_of(motion).minus(state)) / np.sqrt(np.diag(dense))).max() > 0.1
-
-
-def test_a_lost_frame_changes_nothing(params):
-    state, dense, samples = random_filter(1)
-    _, _, fix = _fix(state, 1, fresh=0.0)
-    before = (motion_of(state), jnp.asarray(dense, jnp.float32))
-    motion, covariance = ekf.correct(params, *before, samples[1], fix)
-    for old, new in zip(
-        jax.tree.leaves(before), jax.tree.leaves((motion, covariance)), strict=True
-    ):
-        np.testing.assert_allclose(new, old, rtol=3e-7)
-    np.testing.assert_allclose(covariance, before[1], rtol=1e-7)

@@ -63,7 +63,7 @@ def test_a_policy_flies_a_lap_by_its_estimates(name, request):
         assert np.linalg.norm(flight["position"][-1] - last_gate) < 1.0
         np.testing.assert_array_equal(flight.passages[:, 1], [0, 1, 2, 3])
         assert flight.passages[-1, 0] == pytest.approx(flight.lap_ends[0], abs=0.01)
-    estimated = rows(flights, flights.frames.estimated.position, 0)
+    estimated = rows(flights, flights.frames.estimate.motion.position, 0)
     error = np.abs(estimated - rows(flights, flights.frames.true.position, 0))
     assert 1e-5 < error.mean() < 0.05 and error.max() < 0.1
     centers = np.array([gate.position for gate in race.track.gates])
@@ -84,7 +84,7 @@ def test_logs_are_written_by_policy_and_the_fit_reads_them(indi, tmp_path):
     config = LogsConfig(files=["*.csv"], format="paparazzi", min_seconds=1.0)
     log = read_logs(config, tmp_path)[0]
     assert log.sample_rate == pytest.approx(500.0, rel=1e-3) and log.flying.all()
-    assert np.abs(log.specific_force[:, 2].mean()) > 5.0
+    assert np.abs(log["specific_force"][:, 2].mean()) > 5.0
 
 
 def test_the_race_is_the_policys_own():

@@ -15,7 +15,7 @@ from quadjax.plant.config import PlantConfig, load_plant_config, without_effects
 from quadjax.plant.plant import build_plant, drawn_factors
 from quadjax.vehicle.residual import read_residual, residual_force_moment
 from tests import reference as ref
-from tests.convert import command_of, rotors, rows_of, state_of, vec3
+from tests.convert import command_of, rows_of, state_of, vec3
 from tests.plant import effects_reference as source
 from tests.plant.standin import OFF, only
 
@@ -115,70 +115,37 @@ ROTORS = PlantConfig().rotors.model_dump() | {
 ROTORS["induced"] = np.sqrt(ROTORS["mass"] * 9.81 / (2.0 * 1.225 * 4.0 * np.pi * 0.07**2))
 
 
-def test_air_from_above_takes_thrust(rows, commands):
-    params = build_plant(only(inflow=1.0))
-    climb = np.linspace(-6.0, 10.0, 50)
-    zero = np.zeros(50, np.float32)
-    air = Vec3(zero, zero, np.float32(-climb))
-    found = jax.jit(effects.advance_loss)(params.rotors, params.vehicle.constants, air)
-    agree(found, source.advance_loss(ref.MOTOR, ROTORS, climb))
-    assert np.all(np.asarray(found)[climb <= 0] == 0.0) and np.all(
-        np.diff(found)[climb[1:] > 0] > 0
-    )
-    # At 5 m/s of climb it is about a tenth of the weight, and it points down.
-    level = np.zeros((1, 22))
-    level[:, ref.RPM], level[0, 5] = 7497.0, -5.0
-    hover = np.full((1, 4), 7497.0)
-    lost = slope(only(inflow=1.0), level, hover).body.velocity.z
-    lost = float(lost[0] - slope(OFF, level, hover).body.velocity.z[0])
-    assert 0.5 < lost < 2.0
+def lift_near_the_ground(rpm, v, altitude):
+    ratio = source.ground_ratio(ROTORS, altitude, np.hypot(v[:, 0], v[:, 1]))
+    return -ref.MOTOR["k_w"] * (rpm**2).sum(axis=1) * (ratio - 1.0)
 
 
-def test_ground_effect_is_cheeseman_and_bennetts():
-    params = build_plant(only(ground=1.0))
-    altitude = np.linspace(0.05, 1.0, 40)
-    speed = np.linspace(0.0, 8.0, 40)
-    zero = np.zeros(40, np.float32)
-    rpm = Rotors.same(zero + np.float32(7497.0))
-    air = Vec3(np.float32(0.6 * speed), np.float32(0.8 * speed), zero)
-    c = params.vehicle.constants
-    found = jax.jit(effects.ground_gain)(
-        params.rotors, c, params.mass, rpm, air, np.float32(altitude)
-    )
-    thrust = 4.0 * ref.MOTOR["k_w"] * 7497.0**2
-    ratio = source.ground_ratio(ROTORS, altitude, speed)
-    agree(found, -thrust * (ratio - 1.0), 1e-5)
-    assert found[0] < -1.0 and abs(found[-1]) < 0.02
+EFFECTS = {  # specific force along z, m/s^2, or moment, N m, of rpm, body velocity, rates, altitude
+    "inflow": lambda rpm, v, rates, h: source.advance_loss(ref.MOTOR, ROTORS, -v[:, 2]),
+    "ground": lambda rpm, v, rates, h: lift_near_the_ground(rpm, v, h),
+    "flapping": lambda rpm, v, rates, h: source.flapping(ref.MOTOR, ROTORS, rpm, v, rates),
+    "gyroscopic": lambda rpm, v, rates, h: source.gyroscopic(ref.MOTOR, rpm, rates),
+}
 
 
-def test_discs_tilt_back_and_lag_behind(rows, commands):
-    params = build_plant(only(flapping=1.0))
-    v, rates = rows[:, ref.V], rows[:, ref.RATES]
-    found = jax.jit(effects.flapping_moment)(
-        params.rotors,
-        params.vehicle.constants,
-        params.mass,
-        rotors(rows[:, ref.RPM].astype(np.float32)),
-        vec3(v.astype(np.float32)),
-        vec3(rates.astype(np.float32)),
-    )
-    expected = source.flapping(ref.MOTOR, ROTORS, rows[:, ref.RPM], v, rates)
-    agree(np.stack([np.asarray(x) for x in found.components()], 1), expected, 1e-5)
-    # Forward flight pitches the nose up, as k_qv does; a turning body is damped.
-    level = np.zeros((1, 22))
-    level[:, ref.RPM], level[0, 3] = 7497.0, 5.0
-    hover = np.full((1, 4), 7497.0)
-    on, off = slope(only(flapping=1.0), level, hover), slope(OFF, level, hover)
-    assert float(on.body.rates.y[0] - off.body.rates.y[0]) > 0.1
-
-
-def test_rotors_resist_turning_as_gyroscopes(rows, commands):
-    found = slope(only(gyroscopic=1.0), rows, commands).body.rates.array()
-    without = slope(OFF, rows, commands).body.rates.array()
-    moment = source.gyroscopic(ref.MOTOR, rows[:, ref.RPM], rows[:, ref.RATES])
-    inertia = np.array([ref.MOTOR[name] for name in ("i_xx", "i_yy", "i_zz")])
-    assert np.abs(moment / inertia).max() > 1.0
-    agree(np.asarray(found - without), moment / inertia, 2e-5)
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_an_effect_is_that_of_its_source(effect, rows, commands):
+    """In the accelerations of the drone, against those without it."""
+    to_body = np.swapaxes(ref.rotation(rows[:, ref.EULER]), 1, 2)
+    v = ref.rotate(to_body, rows[:, ref.V])
+    expected = EFFECTS[effect](rows[:, ref.RPM], v, rows[:, ref.RATES], -rows[:, 2])
+    on, off = (slope(x, rows, commands).body for x in (only(**{effect: 1.0}), OFF))
+    force = ref.rotate(to_body, np.float64((on.velocity - off.velocity).array()))
+    inertia = [ref.MOTOR[name] for name in ("i_xx", "i_yy", "i_zz")]
+    moment = np.float64((on.rates - off.rates).array()) * inertia
+    if expected.ndim == 1:
+        found, other, expected = force, moment, expected[:, None] * [0.0, 0.0, 1.0]
+        assert np.abs(expected).max() > 0.5  # m/s^2
+    else:
+        found, other = moment, force
+        assert np.abs(expected).max() > 1e-3  # N m
+    np.testing.assert_allclose(found, expected, atol=2e-4 * np.abs(expected).max())
+    assert np.abs(other).max() < 1e-4
 
 
 def test_a_unit_off_the_center_feels_the_rotation():

@@ -11,7 +11,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_npz
 from quadjax.core.resources import PRETRAINED
-from quadjax.fitting.flight_log import FlightLog
+from quadjax.fitting.flight_log import log_flight
 from quadjax.flights.files import lap_times, load, save
 from quadjax.sources import load_flights
 from quadjax.view.data import page_record
@@ -55,26 +55,18 @@ def test_flights_on_different_tracks_are_refused(tmp_path):
 
 def log_of(flight):
     n = len(flight.time)
-    return FlightLog(
-        name="log",
-        path="log.csv",
-        time=flight.time + 100.0,
-        rpm=np.full((n, 4), 9000.0),
-        rpm_command=None,
-        body_velocity=flight.rotation.inv().apply(flight["velocity"]),
-        rates=np.zeros((n, 3)),
-        specific_force=np.zeros((n, 3)),
-        flying=np.ones(n, bool),
-        position=flight["position"],
-        attitude=flight.rotation,
-        rate_command=None,
-        thrust_command=None,
+    nothing = np.zeros((n, 3))
+    quantities = {"time": flight.time + 100.0, "rpm": np.full((n, 4), 9000.0)}
+    quantities |= {"gyro": nothing, "acceleration": nothing, "flying": np.ones(n)}
+    quantities |= {"position": flight["position"], "quaternion": flight.rotation.as_quat()}
+    return log_flight(
+        "log.csv", quantities | {"body_velocity": flight.rotation.inv().apply(flight["velocity"])}
     )
 
 
 def test_a_log_is_a_flight_with_its_signals():
     flight = circle("log", laps=3)
-    shown = log_of(flight).flight().airborne()
+    shown = log_of(flight).airborne()
     assert shown.time[0] == 0.0 and set(shown.signals) >= {"actuators", "specific_force", "flying"}
     np.testing.assert_allclose(shown["velocity"], flight["velocity"], atol=1e-9)
     timed = shown.with_passages(GATES)
