@@ -2,9 +2,10 @@
 
     python -m tests.mutations --tier all --output mutations.json
 
-For each fault, the tests of its package run first, until one fails, then those of the surface, then
-all others of the tier. The JSON file has a row for each fault; the same command goes on where it
-was stopped.
+For each fault, the file of tests that caught it in an earlier trial runs first, until a test fails,
+then the tests of its package, those of the surface, and the other folders one by one. The JSON file
+has a row for each fault, with the tests that it passed; the same command goes on where it was
+stopped, within a fault too.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import yaml
@@ -35,6 +37,7 @@ class Fault:
     file: str
     old: str
     new: str
+    tests: str
 
     @property
     def name(self) -> str:
@@ -63,46 +66,51 @@ def copy_of(folder: Path) -> Path:
     return folder
 
 
-def tests_of(fault: Fault) -> list[list[str]]:
-    """Arguments of pytest, in the order of their runs: the package, the surface, all."""
+def tests_of(fault: Fault) -> list[str]:
+    """Files and folders of tests, in the order of their runs."""
     package = fault.file.split("/")[0]
-    own = ELSEWHERE.get(package, f"tests/{package}")
+    first = [fault.tests, ELSEWHERE.get(package, f"tests/{package}"), "tests/surface"]
+    folders = sorted(path.parent.relative_to(ROOT) for path in ROOT.glob("tests/*/__init__.py"))
+    files = sorted(path.relative_to(ROOT) for path in ROOT.glob("tests/test_*.py"))
     # The tests of the documentation compare hashes of sources, and the last one looks for faults.
-    others = (own, "tests/surface", "tests/docs", "tests/test_mutations.py")
-    rest = [*(f"--ignore={name}" for name in others), "tests"]
-    return [[own], ["tests/surface"], rest]
+    others = [path.as_posix() for path in (*folders, *files)]
+    names = dict.fromkeys([*first, *others])
+    return [x for x in names if x not in ("tests/docs", "tests/test_mutations.py")]
 
 
-def trial(fault: Fault, tier: str, workers: str) -> dict[str, object]:
-    """Whether the tests of a tier catch a fault, and the first that does."""
+def failure_of(names: str, folder: Path, tier: str, workers: str) -> list[str]:
+    """The first test that fails in a copy of the repository, if one does."""
+    # Programs that a fault does not change are compiled once for all trials.
+    cache = os.environ.get("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".pytest_cache/jax"))
+    environment = os.environ | {
+        "PYTHONPATH": str(folder),
+        "JAX_COMPILATION_CACHE_DIR": cache,
+        "TEST_CPU_SECONDS": "60",  # a fault may take time, which is not what is counted
+    }
+    command = [sys.executable, "-m", "pytest", "-x", "-rfE", "-n", workers, "--no-header"]
+    command += ["-p", "no:cacheprovider", names, *(("-m", "not slow") if tier == "fast" else ())]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    failed = [x for x in done.stdout.splitlines() if x.startswith(("FAILED", "ERROR"))]
+    if not failed and done.returncode not in (0, 5):  # 5: no test was chosen
+        raise SystemExit(f"{names}: pytest ended with {done.returncode}\n{done.stdout}")
+    return failed[:1]
+
+
+def trial(fault: Fault, tier: str, workers: str, passed: list[str]) -> Iterator[dict[str, object]]:
+    """After each file or folder of tests: whether it catches the fault, and the first that does."""
     begin = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mutation-") as name:
         folder = copy_of(Path(name))
         fault.plant(folder / "quadjax")
-        # Programs that the fault does not change are compiled once for all trials.
-        cache = os.environ.get("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".pytest_cache/jax"))
-        environment = os.environ | {
-            "PYTHONPATH": name,
-            "JAX_COMPILATION_CACHE_DIR": cache,
-            "TEST_CPU_SECONDS": "60",  # a fault may take time, which is not what is counted
-        }
-        for arguments in tests_of(fault):
-            command = [sys.executable, "-m", "pytest", "-x", "-rfE", "-n", workers, "--no-header"]
-            command += ["-p", "no:cacheprovider", *arguments]
-            if tier == "fast":
-                command += ["-m", "not slow"]
-            done = subprocess.run(
-                command, cwd=folder, env=environment, capture_output=True, text=True
-            )
-            failed = [x for x in done.stdout.splitlines() if x.startswith(("FAILED", "ERROR"))]
+        for names in tests_of(fault):
+            if names in passed or not (folder / names).exists():
+                continue
+            failed = failure_of(names, folder, tier, workers)
+            passed = passed if failed else [*passed, names]
+            seconds = round(time.monotonic() - begin)
+            yield {"caught": bool(failed), "by": failed, "seconds": seconds, "passed": passed}
             if failed:
-                break
-            if done.returncode not in (0, 5):  # 5: no test was chosen
-                raise SystemExit(
-                    f"{fault.name}: pytest ended with {done.returncode}\n{done.stdout}"
-                )
-    seconds = round(time.monotonic() - begin)
-    return {"caught": bool(failed), "by": failed[:1], "seconds": seconds}
+                return
 
 
 def main() -> None:
@@ -114,10 +122,13 @@ def main() -> None:
     own = parser.parse_args()
     rows = json.loads(own.output.read_text()) if own.output.exists() else {}
     for fault in FAULTS:
-        if fault.name not in rows:
-            rows[fault.name] = trial(fault, own.tier, own.workers)
+        row = rows.get(fault.name, {"caught": False, "passed": []})
+        if row["caught"]:
+            continue
+        for result in trial(fault, own.tier, own.workers, row["passed"]):
+            rows[fault.name] = result
             own.output.write_text(json.dumps(rows, indent=1) + "\n")
-            print(fault.name, rows[fault.name], flush=True)
+            print(fault.name, result["by"] or result["passed"][-1:], flush=True)
     caught = sum(bool(rows[fault.name]["caught"]) for fault in FAULTS)
     print(f"{caught} of {len(FAULTS)} faults are caught by the tests of the tier {own.tier}")
 
