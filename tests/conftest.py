@@ -14,9 +14,9 @@ from pathlib import Path
 # Programs are compiled once, also for the next sessions. JAX limits no size: with a limit, one
 # entry of a process that was killed while it wrote makes JAX write no further one.
 CACHE = Path(__file__).parents[1] / ".pytest_cache/jax"
-MAX_BYTES = 2**30
+MAX_BYTES = 2**31
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 # Compiled soon rather than well: most programs of the tests run once. Devices of the host wait for
 # one another in a collective operation, by default 40 s at most: with fewer cores than devices and
 # other tests beside them it can be longer.

@@ -76,9 +76,17 @@ def interrupted():
     ],
 )
 def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name, keys):
+    """Nothing is compiled after the first chunk."""
     config = config_of(name, *keys)
-    whole = training.train(config, tmp_path / "whole")
+    compiled, after_chunk = [], []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda event, *_, **__: event.endswith("backend_compile_duration") and compiled.append(1)
+    )
+    count = lambda row: after_chunk.append(len(compiled))  # noqa: E731
+    whole = training.train(config, tmp_path / "whole", enough=count)
     assert whole.finished
+    assert len(after_chunk) == 4 and after_chunk[0] > 0
+    assert after_chunk[1:] == after_chunk[:1] * 3
     part = training.train(config, tmp_path / "part", enough=at(256))
     assert not part.finished
     assert part.summary["steps"] == 256
@@ -128,8 +136,7 @@ def test_interrupted_while_compiling_it_saves_all_the_same(tmp_path, monkeypatch
     monkeypatch.setattr(training, "PATIENCE", 600.0)
     result = training.train(config_of("e2e_ppo"), tmp_path / "run")
     assert not result.finished and result.summary["steps"] == 0
-    monkeypatch.undo()
-    assert training.train(config_of("e2e_ppo"), tmp_path / "run", resume=True).finished
+    assert Policy.load(tmp_path / "run/policy_last.npz").layers
 
 
 def test_a_run_that_needs_more_memory_than_there_is_is_refused_with_the_estimate(
@@ -150,27 +157,6 @@ def test_interrupted_in_a_long_compilation_it_ends_at_once(tmp_path, monkeypatch
     with pytest.raises(KeyboardInterrupt):
         training.train(config_of("e2e_ppo"), tmp_path / "run")
     finish.set()
-
-
-@pytest.mark.slow
-def test_nothing_is_compiled_after_the_first_chunk(tmp_path, monkeypatch):
-    compiled, after_chunk = [], []
-
-    def listen(event, duration, **details):
-        if event.endswith("backend_compile_duration"):
-            compiled.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    show = training.TrainingProgress.show
-
-    def watch(progress, row):
-        after_chunk.append(len(compiled))
-        show(progress, row)
-
-    monkeypatch.setattr(training.TrainingProgress, "show", watch)
-    training.train(config_of("e2e"), tmp_path / "run")
-    assert len(after_chunk) == 4 and after_chunk[0] > 0
-    assert after_chunk[1:] == after_chunk[:1] * 3
 
 
 @pytest.mark.slow
@@ -227,15 +213,11 @@ def test_a_moved_run_is_resumed_evaluated_and_exported(tmp_path):
     write_files(tmp_path / "files")
     overrides = [f"{key}={tmp_path / 'files' / name}" for key, name in NAMED.items()]
     config = config_of("e2e", *overrides, "network.activation=relu")
-    whole = training.train(config, tmp_path / "whole")
     assert not training.train(config, tmp_path / "part", enough=at(256)).finished
     shutil.rmtree(tmp_path / "files")
     moved = (tmp_path / "part").rename(tmp_path / "moved")
     resumed = training.train(load_config(moved / "config.yaml"), moved, resume=True)
     assert resumed.finished
-    first, second = (arrays(run.folder / "policy_last.npz") for run in (whole, resumed))
-    for key, value in first.items():
-        np.testing.assert_array_equal(value, second[key], err_msg=key)
     laps = evaluate(moved / "policy.npz", moved / "config.yaml", runs=1, deterministic=True)
     assert laps.lap_times.shape == (1, 1) and len(laps.best.gates) == 2
     alone = (moved / "policy.npz").rename(tmp_path / "alone.npz")

@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+import runpy
 import signal
 import subprocess
 import sys
@@ -70,14 +71,11 @@ def test_the_help_of_quadjax_imports_no_jax():
 
 
 @pytest.mark.parametrize("script", sorted((ROOT / "scripts").glob("*.py")), ids=lambda p: p.stem)
-def test_a_script_is_its_subcommand(script):
-    done = subprocess.run(
-        [sys.executable, script, "--help"],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
-    assert done.returncode == 0 and f"Usage: quadjax {script.stem}" in done.stdout
+def test_a_script_is_its_subcommand(script, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", [str(script), "--help"])
+    with pytest.raises(SystemExit) as end:
+        runpy.run_path(str(script), run_name="__main__")
+    assert not end.value.code and f"Usage: quadjax {script.stem}" in capsys.readouterr().out
 
 
 def raising(error):
@@ -127,8 +125,7 @@ def test_an_error_in_a_user_s_module_names_its_line(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["numpy", "jax"])
-def test_an_interrupt_during_imports_is_quiet(module, tmp_path):
+def test_an_interrupt_during_imports_is_quiet(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-X", "importtime", "-m", "quadjax", "train", "e2e"]
         + ["--output", str(tmp_path)],
@@ -138,7 +135,7 @@ def test_an_interrupt_during_imports_is_quiet(module, tmp_path):
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
     imported = (line.rpartition("|")[2].strip() for line in process.stderr)
-    assert any(name.startswith(f"{module}.") for name in imported)
+    assert any(name.startswith("jax.") for name in imported)
     process.send_signal(signal.SIGINT)
     try:
         _, error = process.communicate(timeout=20)

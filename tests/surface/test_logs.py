@@ -1,4 +1,4 @@
-"""Flight logs: a known model is fitted, faulty columns are refused, laps are read from a log."""
+"""Flight logs: a known model is fitted, faulty columns are refused."""
 
 import csv
 import itertools
@@ -115,14 +115,3 @@ def test_every_fault_of_the_columns_is_refused(logs, tmp_path, monkeypatch, capf
         if status != 2 or "faulty.csv" not in message:
             accepted.append(name)
     assert not accepted
-
-
-@pytest.mark.slow
-def test_a_log_of_the_plant_has_the_laps_that_were_flown(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    words = ("--policy", "e2e_nominal", "--flights", 1, "--laps", 2, "--output", "logs")
-    assert run("logs", "standin", *words) == 0
-    words = ("--policy", "e2e_nominal", "--logs", "paparazzi", "--json", "replay.json")
-    assert run("replay", "logs/e2e_nominal_0.csv", *words) == 0
-    laps = json.loads(Path("replay.json").read_text())["lap_times"]
-    np.testing.assert_allclose(laps, [2.8, 2.4], atol=0.3)

@@ -1,6 +1,5 @@
 """Shipped policies and policy files: their laps, their old formats, their exported numbers."""
 
-import csv
 import json
 from pathlib import Path
 
@@ -31,32 +30,6 @@ def test_a_shipped_policy_flies_its_laps(name, tmp_path):
     assert laps["finished"] == laps["runs"] == 10 and not any(laps["crashes"])
     assert np.shape(laps["laps"]) == (10, 6)
     np.testing.assert_allclose(np.mean(laps["totals"]), total, atol=0.05)
-
-
-@pytest.mark.slow
-def test_an_evaluation_has_rows_tables_and_states(tmp_path):
-    config = quadjax.load("e2e")
-    evaluation = quadjax.evaluate("e2e_nominal", config, runs=3)
-    assert "3/3" in evaluation.table()
-    states = tmp_path / "states.csv"
-    figure = tmp_path / "lap.png"
-    words = ("--policy", "e2e_nominal", "--runs", 1, "--states", states, "--figure", figure)
-    assert run("evaluate", "e2e", *words) == 0
-    with states.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) > 1_300  # a row every 0.01 s of 13.8 s
-    assert figure.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.slow
-def test_the_fixed_point_arithmetic_flies_the_same_laps(tmp_path):
-    totals = []
-    for more in ((), ("--fixed-point",)):
-        file = tmp_path / f"{len(more)}.json"
-        words = ("--policy", "e2e_nominal", "--runs", 2, "--deterministic", "--json", file)
-        assert run("evaluate", "e2e", *words, *more) == 0
-        totals.append(np.mean(json.loads(file.read_text())["totals"]))
-    assert abs(totals[0] - totals[1]) <= 0.02
 
 
 def first_format(path: Path, **meta: object) -> Path:

@@ -10,7 +10,7 @@ import pytest
 
 import quadjax
 from tests.commands import run
-from tests.surface.short import OF_EACH, OF_LEARNER, short, short_config
+from tests.surface.short import OF_EACH, OF_LEARNER, short_config
 from tests.surface.test_training import start, wait_for
 from tests.view.browser import browser, opened, wait_until
 
@@ -82,10 +82,11 @@ def test_a_network_in_c_is_imported_and_evaluated(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_flights_of_policies_and_a_run_are_shown_in_a_browser(tmp_path, monkeypatch, browser):
+def test_the_flights_of_policies_and_a_run_are_shown_in_a_browser(
+    trained, tmp_path, monkeypatch, browser
+):
     monkeypatch.chdir(tmp_path)
-    assert run("train", *short("e2e"), "--name", "first") == 0
-    assert run("view", "e2e_nominal", "runs/first", "--race", "e2e", "--laps", 1) == 0
+    assert run("view", "e2e_nominal", trained, "--race", "e2e", "--laps", 1) == 0
     with opened(browser, (tmp_path / "flights.html").as_uri(), offline=True) as page:
         wait_until(page.page, "quadjax.viewer.clock.time > 0.2")
         assert len(page.state(0.1)["drones"]) == 2
@@ -109,16 +110,15 @@ def racing_policy(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("target", ["indiflight", "px4", "crazyflie", "qjp"])
-def test_a_racing_policy_is_exported_verified_and_flown(
-    target, racing_policy, tmp_path, monkeypatch
-):
+def test_a_racing_policy_is_exported_and_flown(target, racing_policy, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     ranges = [f"--range={name}={size}" for name, size in WIDE.items()]
     words = ("--output", "out", "--target", target, "--allow-unfinished", *ranges)
     assert run("export", racing_policy, *words) == 0
-    words = ("--vectors", 100, "--allow-unfinished", "--json", "verify.json")
-    assert run("verify", "out", *words) == 0
-    results = json.loads(Path("verify.json").read_text())["results"]
-    assert len(results) == 9 and "fail" not in {row["verdict"] for row in results}
+    if target == "px4":  # the runtime is the same for all
+        words = ("--vectors", 100, "--allow-unfinished", "--json", "verify.json")
+        assert run("verify", "out", *words) == 0
+        results = json.loads(Path("verify.json").read_text())["results"]
+        assert len(results) == 9 and "fail" not in {row["verdict"] for row in results}
     assert run("sil", "out", "--simulator", "--laps", 1) == 0
     assert json.loads(Path("runs/sil/sil.json").read_text())["crashes"]

@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -67,29 +68,27 @@ def wait_for(condition, process: subprocess.Popen, seconds: float = 300.0) -> No
 
 
 @pytest.mark.slow
-def test_a_run_writes_its_files_and_runs_again_to_the_same_bits(tmp_path, monkeypatch, capfd):
+def test_a_folder_of_a_run_is_resumed_or_replaced_only_if_asked(
+    trained, tmp_path, monkeypatch, capfd
+):
     monkeypatch.chdir(tmp_path)
-    arguments = short("e2e")
-    assert run("train", *arguments, "--name", "first") == 0
-    assert run("train", *arguments, "--name", "second") == 0
+    folder = shutil.copytree(trained, tmp_path / "runs/one")
     for name in ("config.yaml", "metrics.csv", "policy.npz", "policy_last.npz", "summary.json"):
-        assert (tmp_path / "runs/first" / name).stat().st_size > 0
-    assert same(tmp_path / "runs/first", tmp_path / "runs/second")
-    rows = metrics(tmp_path / "runs/first")
-    assert [int(float(row["steps"])) for row in rows] == [128, 256, 384, 512]
-    assert run("train", *arguments, "--name", "first") == 2
+        assert (folder / name).stat().st_size > 0
+    command = ("train", *short("e2e"), "--name", "one")
+    assert run(*command) == 2
     assert "--resume" in capfd.readouterr().err
-    assert run("train", *arguments, "seed=1", "--name", "first", "--resume") == 2
+    assert run(*command, "seed=1", "--resume") == 2
     assert "seed" in capfd.readouterr().err
-    assert run("train", *arguments, "seed=1", "--name", "first", "--overwrite") == 0
-    assert not same(tmp_path / "runs/first", tmp_path / "runs/second")
+    assert run(*command, "seed=1", "--overwrite") == 0
+    assert not same(trained, folder)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("preset", "end"), [("e2e", signal.SIGKILL), ("indi_ppo", signal.SIGINT)])
 def test_a_run_that_was_stopped_resumes_to_the_same_bits(tmp_path, preset, end):
-    arguments = short(preset, "run.steps=4096")
-    whole = quadjax.train(short_config(preset, "run.steps=4096"), tmp_path / "runs/whole")
+    arguments = short(preset, "run.steps=2048")
+    whole = quadjax.train(short_config(preset, "run.steps=2048"), tmp_path / "runs/whole")
     process = start(tmp_path, "train", *arguments, "--name", "part")
     folder = tmp_path / "runs/part"
     wait_for(lambda: (folder / "policy_last.npz").exists(), process)
@@ -102,8 +101,9 @@ def test_a_run_that_was_stopped_resumes_to_the_same_bits(tmp_path, preset, end):
 
 
 @pytest.mark.slow
-def test_a_run_in_python_has_policy_metrics_and_summary(tmp_path):
-    result = quadjax.train(short_config("e2e_ppo"), tmp_path / "run", progress=False)
+def test_a_run_in_python_is_that_of_the_command_to_the_bit(trained, tmp_path):
+    result = quadjax.train(short_config("e2e"), tmp_path / "run", progress=False)
+    assert same(trained, result.folder)
     assert result.finished and result.folder == tmp_path / "run"
     assert result.metrics["steps"].tolist() == [128, 256, 384, 512]
     summary = json.loads((result.folder / "summary.json").read_text())

@@ -1,8 +1,7 @@
-"""The wheel, built and used from an empty folder: configs, policies and templates are in it."""
+"""The wheel, built and used from an empty folder: every file of the package is in it."""
 
 import json
 import os
-import re
 import subprocess
 import sys
 import zipfile
@@ -46,18 +45,12 @@ def run(installed, folder, *arguments):
     )
 
 
-def test_the_wheel_has_configs_policies_and_templates(wheel):
+def test_the_wheel_has_every_file_of_the_package_and_the_configs(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
-    for folder, suffix in (
-        ("configs", "yaml"),
-        ("pretrained", "npz"),
-        ("export/templates", "*"),
-        ("view/assets", "*"),
-    ):
-        own = ROOT / ("configs" if folder == "configs" else f"quadjax/{folder}")
-        files = [path for path in own.rglob(f"*.{suffix}") if path.is_file()]
-        missing = [p for p in files if f"quadjax/{folder}/{p.relative_to(own)}" not in names]
-        assert files and not missing
+    for folder, place in (("quadjax", "quadjax"), ("configs", "quadjax/configs")):
+        files = [path for path in (ROOT / folder).rglob("*") if path.is_file()]
+        own = {f"{place}/{path.relative_to(ROOT / folder).as_posix()}" for path in files}
+        assert len(own) > 20 and {x for x in own - names if "__pycache__" not in x} == set()
     assert not [name for name in names if name.startswith(("tests/", "scripts/", "docs/"))]
     assert any(name.endswith("entry_points.txt") for name in names)
 
@@ -79,11 +72,7 @@ def test_it_trains_and_evaluates_in_an_empty_folder(installed, tmp_path):
     assert (tmp_path / "lap.png").stat().st_size > 1000
 
 
-def test_it_exports_and_verifies_in_an_empty_folder(installed, tmp_path):
-    script = "import quadjax\nquadjax.export_c(quadjax.Policy.load('e2e_nominal'), 'c', 'e2e')\n"
-    done = run(installed, tmp_path, "-c", script)
+def test_it_exports_in_an_empty_folder(installed, tmp_path):
+    done = run(installed, tmp_path, "-m", "quadjax", "export", "e2e_nominal", "--output", "c")
     assert done.returncode == 0, done.stdout + done.stderr
     assert list((tmp_path / "c").rglob("qj_*.c"))
-    done = run(installed, tmp_path, "-m", "quadjax", "verify", "c", "--vectors", "200")
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert re.search(r"[1-9]\d* passed, 0 failed, \d+ skipped", done.stdout)
