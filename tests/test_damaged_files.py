@@ -1,8 +1,6 @@
-"""Files damaged at random: each is read, or refused in one line. Nothing else is raised.
+"""Files damaged at random: each is read, or refused in one line. Nothing else is raised."""
 
-The kinds of files that the public functions read are damaged in tests/surface/test_readers.py.
-"""
-
+import json
 import os
 from pathlib import Path
 
@@ -11,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import quadjax
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json
-from quadjax.core.resources import CONFIGS
+from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.fitting.config import LogsConfig, load_fit_config
 from quadjax.fitting.flight_log import read_log, write_log
 from quadjax.fitting.formats import WRITTEN
@@ -21,6 +20,7 @@ from quadjax.plant.config import load_plant_config
 from quadjax.policy.network_files import read_state_dict
 from quadjax.sweeps.sweep import load_sweep
 from quadjax.training.result import read_metrics
+from quadjax.vehicle.residual import read_residual
 from tests.policy.writers import linear, state_dict
 from tests.surface.damage import SETTINGS, damaged
 from tests.sweeps.stand_in import sweep_file
@@ -41,18 +41,32 @@ def write_flight(path: Path) -> None:
     write_log(path, columns | {"time": time, "autopilot_mode": np.ones(len(time))})
 
 
+def copy(source: Path):
+    """What writes the contents of another file."""
+    return lambda path: path.write_bytes(source.read_bytes())
+
+
 KINDS = {  # suffix, what writes a whole file, what reads it
+    "policy": (".npz", copy(PRETRAINED / "indi.npz"), quadjax.Policy.load),
+    "residual": (".npz", copy(PRETRAINED / "standin_residual.npz"), read_residual),
+    "config": (".yaml", lambda p: p.write_text(quadjax.load("e2e").to_yaml()), quadjax.load),
+    "track": (
+        ".yaml",
+        copy(CONFIGS / "tracks/figure8.yaml"),
+        lambda p: quadjax.load("e2e", [f"track={p}"]),
+    ),
+    "vehicle": (
+        ".yaml",
+        copy(CONFIGS / "vehicles/bebop1.yaml"),
+        lambda p: quadjax.load("e2e", [f"vehicle={p}"]),
+    ),
     "state dict": (".pt", lambda p: p.write_bytes(state_dict(linear((24, 4)))), read_state_dict),
     "log": (
         ".csv",
         write_flight,
         lambda p: read_log(p, LogsConfig(format="paparazzi")),
     ),
-    "plant": (
-        ".yaml",
-        lambda p: p.write_bytes((CONFIGS / "plant/standin.yaml").read_bytes()),
-        load_plant_config,
-    ),
+    "plant": (".yaml", copy(CONFIGS / "plant/standin.yaml"), load_plant_config),
     "fit": (".yaml", lambda p: p.write_text("logs: {files: [a.csv]}\nseed: 1\n"), load_fit_config),
     "sweep": (
         ".yaml",
@@ -82,6 +96,7 @@ def whole(tmp_path_factory):
     for kind, (suffix, write, _) in KINDS.items():
         path = folder / f"{kind}{suffix}"
         write(path)
+        KINDS[kind][2](path)
         contents[kind] = path.read_bytes()
     return contents
 
@@ -97,3 +112,10 @@ def test_damaged_files_are_read_or_refused_in_one_line(kind, data, tmp_path, who
         read(path)
     except InputError as error:
         assert "\n" not in str(error) and len(str(error)) < 1000
+
+
+def test_an_archive_with_pickled_objects_is_refused(tmp_path):
+    path = tmp_path / "pickled.npz"
+    np.savez(path, kernel_0=np.array([print], dtype=object), meta=json.dumps({}))
+    with pytest.raises(InputError, match="pickled"):
+        quadjax.Policy.load(path)

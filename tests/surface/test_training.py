@@ -72,10 +72,10 @@ def test_a_folder_of_a_run_is_resumed_or_replaced_only_if_asked(
     trained, tmp_path, monkeypatch, capfd
 ):
     monkeypatch.chdir(tmp_path)
-    folder = shutil.copytree(trained, tmp_path / "runs/one")
+    folder = shutil.copytree(trained, tmp_path / "runs/trained")
     for name in ("config.yaml", "metrics.csv", "policy.npz", "policy_last.npz", "summary.json"):
         assert (folder / name).stat().st_size > 0
-    command = ("train", *short("e2e"), "--name", "one")
+    command = ("train", *short("e2e"), "--name", "trained")
     assert run(*command) == 2
     assert "--resume" in capfd.readouterr().err
     assert run(*command, "seed=1", "--resume") == 2
