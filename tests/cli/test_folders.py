@@ -9,7 +9,6 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED, find_config, find_policy
 from quadjax.evaluation import evaluate
-from quadjax.export.convert import export_c
 from quadjax.fitting.config import load_fit_config
 from quadjax.policy.file import Policy
 from quadjax.training import folder as training
@@ -37,18 +36,6 @@ def test_a_folder_does_not_hide_a_shipped_name(here, monkeypatch, capsys):
         load_config(here)
     (here / "mine").mkdir()
     assert find_config("mine").is_dir()
-
-
-def test_an_export_is_not_written_between_other_files(here, capsys):
-    (here / "thesis.tex").write_text("mine")
-    for output in (".", here):
-        assert run("export", "e2e", "--output", output) == 2
-        error = capsys.readouterr().err
-        assert "holds no export, but thesis.tex: choose another folder" in error
-        assert "(--overwrite)" in error
-    with pytest.raises(InputError, match=r"\(overwrite=True\)"):
-        export_c(PRETRAINED / "e2e.npz", here)
-    assert [path.name for path in here.iterdir()] == ["thesis.tex"]
 
 
 def stop(monkeypatch):

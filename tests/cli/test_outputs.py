@@ -85,7 +85,7 @@ def test_an_output_does_not_replace_a_pipe(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "file"),
     [
-        (("export", PRETRAINED / "e2e.npz", "--output"), "policy.npz"),
+        (("export", PRETRAINED / "e2e.npz", "--output"), "thesis.tex"),
         (("export", PRETRAINED / "e2e.npz", "--name", "mine", "--output"), "mine.c"),
         (("logs", "exact", "--policy", "e2e", "--output"), "e2e_0.csv"),
         (("sweep", "learning_rate", "name=one", "--report", "--output"), "report.md"),
