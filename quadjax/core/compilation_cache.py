@@ -33,6 +33,11 @@ def enable_compilation_cache() -> None:
     owner = os.getuid() if hasattr(os, "getuid") else found.st_uid
     if found.st_uid != owner or found.st_mode & 0o022 or not os.access(folder, os.W_OK):
         return
+    # JAX writes no further entry next to one without its time, of a process that was killed.
+    times = {path.name.removesuffix("-atime") for path in folder.glob("*-atime")}
+    for path in folder.glob("*-cache"):
+        if path.name.removesuffix("-cache") not in times:
+            path.unlink(missing_ok=True)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_compilation_cache_max_size", MAX_BYTES)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_SECONDS)

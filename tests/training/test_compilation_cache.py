@@ -41,6 +41,10 @@ def test_it_is_private_and_in_the_users_cache_folder(enabled, tmp_path):
     folder = enabled(tmp_path)
     assert Path(folder).is_relative_to(tmp_path / "quadjax")
     assert stat.S_IMODE(Path(folder).stat().st_mode) == 0o700
+    for name in ("whole-cache", "whole-atime", "cut-cache"):  # the last: its process was killed
+        (Path(folder) / name).touch()
+    assert enabled(tmp_path) == folder
+    assert {path.name for path in Path(folder).iterdir()} == {"whole-cache", "whole-atime"}
     Path(folder).chmod(0o777)
     assert enabled(tmp_path) is None  # others could write to it
 
