@@ -58,7 +58,7 @@ def check(policy: FixedPolicy) -> None:
     if policy.battery is not None:
         prove_battery(policy.battery)
     if policy.noise is not None:
-        NoiseTables.of(policy.noise.factors)
+        NoiseTables.of(policy.noise.factors, policy.noise.on_clamped)
     _prove(network.layers, network.inputs, COMMANDS)
 
 
@@ -117,7 +117,8 @@ def passes(policy: FixedPolicy) -> bool:
     targets = own.targets[:, 0].astype(np.int64)
     tables = (policy.network, policy.race, policy.estimator, policy.battery)
     right = answered(*tables, inputs, states, targets, measurements, samples)
-    if policy.noise is not None and policy.noise != NoiseTables.of(policy.noise.factors):
+    noise = policy.noise
+    if noise is not None and noise != NoiseTables.of(noise.factors, noise.on_clamped):
         return False
     fields = (field.name for field in dataclasses.fields(Cases))
     return all(np.array_equal(getattr(right, name), getattr(own, name)) for name in fields)

@@ -5,7 +5,8 @@ clipped to the command range. In units of a command's last bit a sample is::
 
     clip((sum >> output_shift) + round(n factor / 2**16), low, high)
 
-with the output's accumulator ``sum`` and ``n`` the sum of 12 uniform integers of 16 bits less its
+with the output's accumulator ``sum`` (its first term clipped too if the policy was trained so,
+``noise_on: clipped_mean`` of its file) and ``n`` the sum of 12 uniform integers of 16 bits less its
 mean. ``n / 2**16`` has a mean of 0 and a variance of 1 (to 2e-10), lies within 6, has an excess
 kurtosis of -0.1, and its distribution function differs from the normal one by at most 0.0023.
 
@@ -37,10 +38,11 @@ class NoiseTables:
     """The noise of a policy: what the words contain."""
 
     factors: tuple[int, ...]  # standard deviation of each command, in its last bits
+    on_clamped: bool  # the noise is added to the clamped mean, as in the training of SHAC
     digest: int  # of the noise of the first steps from counter 0
 
     @classmethod
-    def of(cls, factors: tuple[int, ...]) -> "NoiseTables":
+    def of(cls, factors: tuple[int, ...], on_clamped: bool) -> "NoiseTables":
         """Noise with the digest that its factors give.
 
         Raises:
@@ -53,7 +55,12 @@ class NoiseTables:
                     f"allowed: 0 to {LARGEST_FACTOR}"
                 )
         steps = noise(factors, 0, TESTED)
-        return cls(factors, int(digest(steps.reshape(1, -1))[0]))
+        return cls(factors, on_clamped, int(digest(steps.reshape(1, -1))[0]))
+
+    @property
+    def words(self) -> dict[str, int]:
+        """The numbers after the factors, by their names in the words."""
+        return {"on_clamped": int(self.on_clamped), "digest": self.digest}
 
 
 def make_noise(policy: Policy, network: FixedNetwork) -> NoiseTables:
@@ -67,7 +74,8 @@ def make_noise(policy: Policy, network: FixedNetwork) -> NoiseTables:
     """
     deviation = np.exp(policy.log_std.astype(np.float64))
     half = 0.5 * (policy.command_high - policy.command_low)
-    return NoiseTables.of(tuple(round(x) for x in deviation * half * 2.0**network.fraction_bits))
+    factors = tuple(round(x) for x in deviation * half * 2.0**network.fraction_bits)
+    return NoiseTables.of(factors, policy.noise_on == "clipped_mean")
 
 
 def noise(factors: tuple[int, ...], counter: int, steps: int) -> np.ndarray:
@@ -90,5 +98,6 @@ def advanced(counter: int, steps: int, commands: int) -> int:
 def sample(network: FixedNetwork, tables: NoiseTables, q: np.ndarray, counter: int) -> np.ndarray:
     """Sampled commands (n, commands) int32 of integer inputs (n, inputs), a step each."""
     sums = forward_traced(network, q)[1][-1] >> network.output_shift
-    sums = sums + noise(tables.factors, counter, len(q))
-    return np.clip(sums, network.command_low, network.command_high).astype(np.int32)
+    low, high = network.command_low, network.command_high
+    mean = np.clip(sums, low, high) if tables.on_clamped else sums
+    return np.clip(mean + noise(tables.factors, counter, len(q)), low, high).astype(np.int32)

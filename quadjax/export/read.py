@@ -251,7 +251,8 @@ class _Reader:
     def noise(self) -> NoiseTables:
         """The noise of a policy that samples."""
         own = self.take(STRUCTS["noise"], 1)[0]
-        return NoiseTables(tuple(own["factor"].tolist()), int(own["digest"]))
+        on_clamped = bool(own["on_clamped"])
+        return NoiseTables(tuple(own["factor"].tolist()), on_clamped, int(own["digest"]))
 
     def cases(self, header: np.ndarray) -> Cases:
         """The self-tests."""

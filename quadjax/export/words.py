@@ -72,7 +72,7 @@ STRUCTS = {
         *("period_ns", "exponent", "low_pass", "low_pass_shift", "lead", "lead_shift"),
         *("gain", "gain_shift", ("lowest", "<i8"), ("highest", "<i8"), ("first", "<i8")),
     ),
-    "noise": _struct(("factor", "<i4", COMMANDS), ("digest", "<u4")),
+    "noise": _struct(("factor", "<i4", COMMANDS), "on_clamped", ("digest", "<u4")),
 }
 HEADER = STRUCTS["header"]
 BYTES_AT = HEADER.fields["bytes"][1]
@@ -234,7 +234,7 @@ def _parts(policy: FixedPolicy) -> Iterator[np.ndarray]:
     if policy.battery is not None:
         yield _battery(policy.battery)
     if policy.noise is not None:
-        yield _rows("noise", factor=policy.noise.factors, digest=policy.noise.digest)
+        yield _rows("noise", factor=policy.noise.factors, **policy.noise.words)
     for group in case_groups(network.inputs, race.state_size):
         yield np.concatenate([getattr(cases, name) for name in group], axis=1)
 

@@ -27,10 +27,10 @@ STD = np.array([0.3, 0.5, 0.05, 1.0])
 SAMPLED = "-DQJ_SAMPLED=1"
 
 
-def made(vehicle="motor"):
+def made(vehicle="motor", noise_on="mean"):
     """A policy, and the same as integers with its noise."""
-    policy = made_policy(16, vehicle)
-    policy = dataclasses.replace(policy, log_std=np.log(STD).astype(np.float32))
+    changes = {"log_std": np.log(STD).astype(np.float32), "noise_on": noise_on}
+    policy = dataclasses.replace(made_policy(16, vehicle), **changes)
     fixed = fixed_policy(policy, own_race(policy))
     return policy, dataclasses.replace(fixed, noise=make_noise(policy, fixed.network))
 
@@ -72,9 +72,10 @@ def test_the_noise_is_normal_and_white():
     assert np.abs(apart).max() < 5 / steps**0.5
 
 
+@pytest.mark.parametrize("noise_on", ["mean", "clipped_mean"])
 @pytest.mark.parametrize("vehicle", ["motor", "rate"])
-def test_commands_are_distributed_as_those_of_the_float_policy(vehicle):
-    policy, fixed = made(vehicle)
+def test_commands_are_distributed_as_those_of_the_float_policy(vehicle, noise_on):
+    policy, fixed = made(vehicle, noise_on)
     network, rng, count = fixed.network, np.random.default_rng(0), 20_000
     low, high = policy.command_low, policy.command_high
     half, ends = 0.5 * (high - low), 0
@@ -83,6 +84,7 @@ def test_commands_are_distributed_as_those_of_the_float_policy(vehicle):
         y = x.astype(float)
         for layer, (kernel, bias) in enumerate(policy.layers):
             y = (np.maximum(y, 0.0) if layer else y) @ kernel + bias
+        y = np.clip(y, -1.0, 1.0) if noise_on == "clipped_mean" else y
         y = np.clip(y + STD * rng.standard_normal((count, 4)), -1.0, 1.0)
         q = quantize(np.tile(x, (count, 1)), network.box.exponents)
         found = sample(network, fixed.noise, q, 1000 * number) / 2.0**network.fraction_bits
@@ -96,9 +98,9 @@ def test_commands_are_distributed_as_those_of_the_float_policy(vehicle):
     assert ends > 2  # in some cases the clipping matters
 
 
-@pytest.mark.parametrize("vehicle", ["motor", "rate"])
-def test_the_c_has_the_bits_of_numpy(vehicle, tmp_path):
-    _, fixed = made(vehicle)
+@pytest.mark.parametrize("case", [("motor", "mean"), ("rate", "clipped_mean")])
+def test_the_c_has_the_bits_of_numpy(case, tmp_path):
+    _, fixed = made(*case)
     network, counter = fixed.network, 2**32 - 1000
     q = quantize(observations(network, 2000), network.box.exponents).astype(np.int32)
     bits = np.random.default_rng(0).integers(-(2**31), 2**31, (500, network.inputs), np.int32)
@@ -144,7 +146,7 @@ def test_the_loader_checks_the_noise(tmp_path):
     assert load(right, words) == load(right, mean) == load(plain, mean) == 0
     assert load(plain, words) == 3  # of another version: it could not sample
     at = words.index(np.array(fixed.noise.factors, "<i4").tobytes()) // 4
-    for change, error in (({at: -1}, 11), ({at + 1: 5}, 13), ({at + 4: 5}, 13)):
+    for change, error in (({at: -1}, 11), ({at + 1: 5}, 13), ({at + 4: 5}, 11), ({at + 5: 5}, 13)):
         assert load(right, edited(words, change)) == error
         with pytest.raises(InputError):
             unpack(edited(words, change))

@@ -375,6 +375,7 @@ static qj_error check_noise(const qj_policy *policy) {
   for (uint32_t i = 0U; (policy->noise != 0) && (i < QJ_COMMANDS); ++i) {
     fine &= qj_within(policy->noise[QJ_NOISE_FACTOR + i], 0, INT32_MAX);
   }
+  fine &= (policy->noise != 0) ? qj_within(policy->noise[QJ_NOISE_ON_CLAMPED], 0, 1) : 1U;
   return (fine != 0U) ? QJ_OK : QJ_BAD_RANGES;
 }
 #endif

@@ -286,8 +286,10 @@ void qj_sample(const qj_policy *policy, const int32_t *q, uint32_t *counter,
   qj_run_layers(policy, policy->layer, policy->layers, buffer, sums, 0);
   for (uint32_t i = 0U; i < QJ_COMMANDS; ++i) { /* a shift of at least 1: below 2^62 and 2^50 */
     const int64_t noise = noise_of(counter, policy->noise[QJ_NOISE_FACTOR + i]);
-    const int64_t sum = (sums[i] >> policy->output_shift) + noise;
-    command[i] = (int32_t)qj_clamp(sum, policy->low[i], policy->high[i]);
+    const int64_t sum = sums[i] >> policy->output_shift;
+    const int64_t clamped = qj_clamp(sum, policy->low[i], policy->high[i]);
+    const int64_t mean = (policy->noise[QJ_NOISE_ON_CLAMPED] != 0) ? clamped : sum;
+    command[i] = (int32_t)qj_clamp(mean + noise, policy->low[i], policy->high[i]);
   }
 }
 #endif
