@@ -42,9 +42,9 @@ def sweep(
     with loading():
         from quadjax.sweeps.report import write_report
         from quadjax.sweeps.run import run_sweep, train_and_fly
-        from quadjax.sweeps.study import OPEN, State, count, delete_study, open_study, progress
+        from quadjax.sweeps.study import State, delete_study, open_study, progress, trials_over
         from quadjax.sweeps.sweep import load_sweep
-        from quadjax.sweeps.workers import make_workers
+        from quadjax.sweeps.workers import LocalWorkers, RayWorkers
 
     changes = [*overrides, *([f"executor.workers={workers}"] if workers else [])]
     plan = load_sweep(find_config(config, "sweeps"), changes)
@@ -54,21 +54,22 @@ def sweep(
         return 0
     if report:
         check_kind(folder, "sweep", () if overwrite else FILES)
-        print(write_report(open_study(plan, folder, run=False), plan, folder))
+        print(write_report(open_study(plan, folder), plan, folder))
         return 0
 
     with claim(folder, "sweep", FILES, overwrite):
         if overwrite:
             delete_study(plan, folder)
             remove_files(folder, FILES)
-        pool = make_workers(plan.file.executor, folder)
+        executor, logs = plan.file.executor, folder / "logs"
+        pool = RayWorkers(executor) if kind == "ray" else LocalWorkers(executor, logs)
         print(f"{plan.file.name}: {plan.trials} trials, {pool.count} workers ({kind})")
         ended = run_sweep(plan, folder, pool, train_and_fly)
-        study = open_study(plan, folder, run=False)
+        study = open_study(plan, folder)
         print(write_report(study, plan, folder))
-    print(progress(study))
-    counts = count(study)
-    if any(counts[state] for state in OPEN):
+    print(progress(study, plan))
+    over = trials_over(study)
+    if len(over) < plan.trials:
         print("The same command runs the rest.")
         return 0 if ended else INTERRUPTED
-    return int(counts[State.FAIL] > 0)
+    return int(any(trial.state == State.FAIL for trial in over))

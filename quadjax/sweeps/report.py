@@ -6,17 +6,18 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import optuna
+from optuna.trial import FrozenTrial
 
 from quadjax.config.loading import load_config
 from quadjax.core.files import write_csv, write_text
 from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import line_of, provenance
-from quadjax.sweeps.study import OVER, State, latest_trials
+from quadjax.sweeps.study import OVER, State, number_of, trials_over
 from quadjax.sweeps.sweep import Sweep
 
+NAMES = dict(zip(OVER, ("complete", "pruned", "failed"), strict=True))
 PRINTED = 10  # trials of the printed table
-STATES = {State.COMPLETE: "complete", State.PRUNED: "pruned", State.FAIL: "failed"}
 
 
 def table_of(study: optuna.Study, sweep: Sweep) -> list[list[str]]:
@@ -24,19 +25,19 @@ def table_of(study: optuna.Study, sweep: Sweep) -> list[list[str]]:
 
     The lap times of the median and of the seeds are in s.
     """
-    trials = latest_trials(study).values()
-    over = [t for t in trials if t.state in OVER or "error" in t.user_attrs]
-    order = [*STATES]
-    over.sort(key=lambda t: (order.index(t.state), math.inf if t.value is None else t.value))
+    over = sorted(
+        trials_over(study),
+        key=lambda t: (OVER.index(t.state), math.inf if t.value is None else t.value),
+    )
     titles = ("trial", "state", "median", "seeds", "finished", "wall s", "host")
     rows = [[*titles, *sweep.space, "error"]]
     for trial in over:
         attrs, median = trial.user_attrs, "" if trial.value is None else f"{trial.value:.3f}"
+        died = "its worker died" if trial.state == State.FAIL else ""
         seeds = " ".join(f"{value:.3f}" for value in attrs.get("values", ()))
-        params = [trial.params.get(key, "") for key in sweep.space]
-        cells = [attrs["index"], STATES[trial.state], median, seeds, attrs.get("finished", 0.0)]
-        cells += [str(attrs.get("seconds", "")), attrs.get("host", ""), *params]
-        cells.append(attrs.get("error", ""))
+        cells = [number_of(trial), NAMES[trial.state], median, seeds, attrs.get("finished", 0.0)]
+        cells += [str(attrs.get("seconds", "")), attrs.get("host", "")]
+        cells += [*(trial.params.get(key, "") for key in sweep.space), attrs.get("error", died)]
         rows.append([f"{x:.4g}" if isinstance(x, float) else str(x) for x in cells])
     return rows
 
@@ -50,12 +51,12 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
     head += f"median over {seeds} seeds of the lap time, s. "
     head += f"Base: `{' '.join([sweep.base.name, *sweep.overrides])}`."
     head += f"\n\n{line_of(provenance(load_config(sweep.base, sweep.overrides)))}"
-    complete = study.get_trials(True, (State.COMPLETE,))
+    complete = study.get_trials(states=(State.COMPLETE,))
     last = "No policy finished a flight: every value is the penalty. Train for more steps."
     if finished := [trial for trial in complete if trial.user_attrs["finished"]]:
         best = min(finished, key=lambda trial: trial.values[0])
         config = sweep.config_of(best.params, f"name={name}_best")
-        title = f"# Trial {best.user_attrs['index']} of {name}: lap time {best.value:.3f} s\n"
+        title = f"# Trial {number_of(best)} of {name}: lap time {best.value:.3f} s\n"
         write_text(directory / "best.yaml", title + config.to_yaml())
         draw([t for t in finished if t.user_attrs["finished"] >= 1.0] or finished, directory)
         last = f"best config: quadjax train {directory / 'best.yaml'}"
@@ -63,7 +64,7 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
     return f"{table(rows[: PRINTED + 1])}\n\n{last}\nall trials, report and figures: {directory}"
 
 
-def draw(trials: list[optuna.trial.FrozenTrial], directory: Path) -> None:
+def draw(trials: list[FrozenTrial], directory: Path) -> None:
     """Optuna's figures of complete trials.
 
     The importance of a key is the fraction of the variance that it explains, by PED-ANOVA
@@ -71,14 +72,13 @@ def draw(trials: list[optuna.trial.FrozenTrial], directory: Path) -> None:
     """
     study = optuna.create_study(study_name=directory.name)
     study.add_trials(trials)
-    plots, evaluator = (
-        optuna.visualization.matplotlib,
-        optuna.importance.PedAnovaImportanceEvaluator,
-    )
+    plots = optuna.visualization.matplotlib
+    importance = {"evaluator": optuna.importance.PedAnovaImportanceEvaluator()}
+    median = {"target_name": "median (s)"}
     for name, plot, options in (
-        ("parallel", plots.plot_parallel_coordinate, {"target_name": "median (s)"}),
-        ("slices", plots.plot_slice, {"target_name": "median (s)"}),
-        ("importances", plots.plot_param_importances, {"evaluator": evaluator()}),
+        ("parallel", plots.plot_parallel_coordinate, median),
+        ("slices", plots.plot_slice, median),
+        ("importances", plots.plot_param_importances, importance),
     ):
         with contextlib.suppress(RuntimeError, ValueError):
             plot(study, target=lambda trial: trial.values[0], **options)

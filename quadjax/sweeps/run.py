@@ -1,6 +1,5 @@
-"""Running a sweep: workers take trials from its study until none waits."""
+"""Running a sweep: workers take trials from its study until its budget is used up."""
 
-import contextlib
 import datetime
 import math
 import socket
@@ -19,16 +18,17 @@ import optuna
 from quadjax.config.assembly import make_params
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import interruptions
+from quadjax.sweeps.schema import JOURNAL
 from quadjax.sweeps.study import (
-    OPEN,
-    OVER,
+    Retry,
     State,
-    count,
-    latest_trials,
+    left,
+    number_of,
     open_study,
     progress,
     retry_running,
     storage_errors,
+    trials_over,
 )
 from quadjax.sweeps.sweep import Params, Sweep
 from quadjax.sweeps.workers import LocalWorkers, RayWorkers
@@ -37,17 +37,17 @@ POLL_SECONDS = 0.2
 REPORTS = 10  # to the pruner in each training
 FLIGHT_SEED = 1
 Enough = Callable[[float, float], bool]  # (fraction of the training, lap time): whether to stop
-# (sweep, parameters, index, seed, folder, enough): value, s, and the fraction of finished flights
-# of one seed of a trial; None if it was stopped.
-Measure = Callable[[Sweep, Params, int, int, Path, Enough], tuple[float, float] | None]
+# (sweep, parameters, seed, folder, enough): value, s, and the fraction of finished flights of one
+# seed of a trial; None if it was stopped.
+Measure = Callable[[Sweep, Params, int, Path, Enough], tuple[float, float] | None]
 
 
-class TrialFailed(Exception):
+class TrialStopped(Exception):
     """A trial without a value; it is queued again unless its user attribute ``error`` is set."""
 
 
 def train_and_fly(
-    sweep: Sweep, params: Params, index: int, seed: int, folder: Path, enough: Enough
+    sweep: Sweep, params: Params, seed: int, folder: Path, enough: Enough
 ) -> tuple[float, float] | None:
     """Train one seed, from its checkpoint if there is one, and evaluate its policy: ``Measure``."""
     from quadjax.evaluation.evaluate import evaluate
@@ -55,8 +55,8 @@ def train_and_fly(
     from quadjax.race.laps import race_length, time_limit
     from quadjax.training.run import train
 
-    run, asked = (f"name=trial{index:04d}", "run.devices=1"), sweep.file.objective
-    config = sweep.config_of(params, *run, f"seed={seed}")
+    run = (f"name=trial{folder.parent.name}", "run.devices=1", f"seed={seed}")
+    config, asked = sweep.config_of(params, *run), sweep.file.objective
     race = sweep.config_of(params, *run, *sweep.conditions) if asked.plant is None else config
     track, laps = make_params(config).track, config.evaluate
     limit = time_limit(track, race_length(track, laps.laps, laps.gates))
@@ -85,11 +85,10 @@ def objective(
     trial: optuna.Trial, sweep: Sweep, directory: Path, measure: Measure, stop: threading.Event
 ) -> float:
     """The median of a trial's seeds, s; what was measured becomes its user attributes."""
-    index, last, pruned = trial.user_attrs.get("index"), 0, False
-    if index is None or latest_trials(trial.study)[index].number != trial.number:
-        raise TrialFailed
+    folder = directory / "trials" / f"{number_of(trial.study.trials[trial.number]):04d}"
     values: list[float] = []
-    finished, started, seeds = 0.0, time.monotonic(), range(sweep.file.objective.seeds)
+    finished, started, seeds = 0.0, time.monotonic(), sweep.file.objective.seeds
+    last, pruned = 0, False
 
     def enough(fraction: float, lap_time: float) -> bool:
         nonlocal last, pruned
@@ -101,9 +100,8 @@ def objective(
 
     try:
         params = sweep.suggest(trial)
-        for seed in seeds:
-            folder = directory.resolve() / "trials" / f"{index:04d}" / f"seed{seed}"
-            if (result := measure(sweep, params, index, seed, folder, enough)) is None:
+        for seed in range(seeds):
+            if (result := measure(sweep, params, seed, folder / f"seed{seed}", enough)) is None:
                 break
             values, finished = [*values, result[0]], finished + result[1]
     except Exception as error:
@@ -116,13 +114,13 @@ def objective(
         trial.set_user_attr(key, value)
     if pruned:
         raise optuna.TrialPruned
-    if len(values) < len(seeds):
-        raise TrialFailed
+    if len(values) < seeds:
+        raise TrialStopped
     return statistics.median(values)
 
 
 def work(sweep: Sweep, directory: Path, measure: Measure, end: float, slot: int, name: str) -> None:
-    """Run the trials that wait, one after another.
+    """Run trials, one after another.
 
     Args:
         sweep: the sweep.
@@ -132,40 +130,45 @@ def work(sweep: Sweep, directory: Path, measure: Measure, end: float, slot: int,
         slot: number of the worker, which changes the seed of the sampler.
         name: of the worker, for its trials' user attribute ``worker``.
     """
-    study = open_study(sweep, directory, run=False, slot=slot)
+    study = open_study(sweep, directory, slot)
     with interruptions(b"") as stop:
 
         def run_one(trial: optuna.Trial) -> float:
             trial.set_user_attr("worker", name)
             return objective(trial, sweep, directory, measure, stop)
 
-        while not stop.is_set() and time.time() < end and study.get_trials(False, (State.WAITING,)):
-            study.optimize(run_one, n_trials=1, catch=TrialFailed)
+        def after(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+            if trial.state == State.FAIL and "error" not in trial.user_attrs:
+                Retry()(study, trial)
+
+        while not stop.is_set() and time.time() < end and left(study, sweep):
+            study.optimize(run_one, n_trials=1, catch=TrialStopped, callbacks=[after])
 
 
 def run_sweep(
     sweep: Sweep, directory: Path, workers: LocalWorkers | RayWorkers, measure: Measure
 ) -> bool:
-    """Run the trials of the queue until it is empty or the time is over; False after Ctrl-C."""
+    """Run trials until the budget is used up or the time is over; False after Ctrl-C."""
     study, started = open_study(sweep, directory), time.monotonic()
-    seconds, journal = sweep.file.budget.seconds or math.inf, sweep.file.storage == "journal"
+    seconds, retries = sweep.file.budget.seconds or math.inf, sweep.file.executor.retries
+    journal = sweep.file.storage == JOURNAL
     arguments = (sweep, directory.resolve(), measure, time.time() + seconds)
-    first = printed = count(study)
+    if journal:  # which only this command uses
+        retry_running(study)
+    first = printed = len(trials_over(study))
     running: dict[int, tuple[str, Any]] = {}
-    guard = contextlib.nullcontext() if journal else storage_errors(sweep, directory)
-    with interruptions() as stop, guard:
-        while (left := sum((now := count(study))[state] for state in OPEN)) or running:
+    with interruptions() as stop, storage_errors(sweep, directory):
+        while (over := len(trials_over(study))) < sweep.trials or running:
             elapsed, interrupted = time.monotonic() - started, stop.is_set()
-            over = interrupted or elapsed > seconds
-            if now != printed:
-                printed, text = now, f"{sweep.file.name}: {progress(study)}"
-                if done := sum(now[state] - first[state] for state in OVER):
-                    text += (
-                        f", about {datetime.timedelta(seconds=round(elapsed / done * left))} left"
-                    )
+            ends = interrupted or elapsed > seconds
+            if over != printed:
+                printed, text = over, f"{sweep.file.name}: {progress(study, sweep)}"
+                rest = (sweep.trials - over) * elapsed / max(over - first, 1)
+                text += f", about {datetime.timedelta(seconds=round(rest))} left" if rest else ""
                 print(text, file=sys.stderr, flush=True)
-            for slot in range(0 if over else min(workers.count, now[State.WAITING] + len(running))):
-                if slot not in running:
+            room = min(workers.count, sweep.trials - over)
+            for slot in range(workers.count if left(study, sweep) and not ends else 0):
+                if slot not in running and len(running) < room:
                     name = uuid.uuid4().hex
                     running[slot] = name, workers.start(slot, work, *arguments, slot, name)
             for slot, (name, worker) in list(running.items()):
@@ -174,12 +177,12 @@ def run_sweep(
                 if (reason := workers.reason(worker)) is not None:
                     del running[slot]
                     if reason and not interrupted:
-                        retry_running(study, sweep, reason, name)
-            if over and not running:
+                        print(f"{sweep.file.name}: {reason}", file=sys.stderr, flush=True)
+                        retry_running(study, retries, name)
+            if ends and not running:
                 break
             if not running and journal:
-                retry_running(study, sweep, "worker died", None)
-            elif not running:  # other machines run the rest
-                optuna.storages.fail_stale_trials(study)
+                retry_running(study, retries)
+            optuna.storages.fail_stale_trials(study)  # of other machines, in a database
             time.sleep(POLL_SECONDS)
     return not stop.is_set()

@@ -7,10 +7,11 @@ import numpy as np
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
 from quadjax.core.sections import Field, FolderName, Positive, Section, model_validator
-from quadjax.sweeps.secrets import DATABASE
 
-ENTRIES = ("choices", "range", "log", "step", "points")  # of a key of the search space
+WAYS = ("choices", "range", "log")  # to name the values of a key
+ENTRIES = (*WAYS, "step", "points")
 MAX_TRIALS = 10_000
+JOURNAL = "journal"  # storage: a file in the folder of the sweep
 End = Annotated[float, Field(ge=-1e12, le=1e12)]  # of an interval: no key takes larger numbers
 Value = bool | int | float | str | None  # as Optuna stores it: lists as JSON text
 Distribution = CategoricalDistribution | FloatDistribution | IntDistribution
@@ -19,20 +20,6 @@ Distribution = CategoricalDistribution | FloatDistribution | IntDistribution
 def stored(value: Any) -> Value:
     """A config's value as Optuna stores it."""
     return json.dumps(value) if isinstance(value, (list, tuple, dict)) else value
-
-
-def values_of(distribution: Distribution, points: int | None = None) -> list[Value] | None:
-    """Its values, up to ``MAX_TRIALS`` + 1, or this number of points; None for an interval."""
-    if isinstance(distribution, CategoricalDistribution):
-        return list(distribution.choices)
-    low, high, step = distribution.low, distribution.high, distribution.step
-    if not points and step is None:
-        return None
-    size = points or round((high - low) / (step or 1.0)) + 1
-    spaced = np.geomspace if distribution.log and points else np.linspace
-    numbers = spaced(low, high, min(size, MAX_TRIALS + 1)).tolist()
-    whole = isinstance(distribution, IntDistribution)
-    return sorted({round(number) for number in numbers}) if whole else numbers
 
 
 class Range(Section):
@@ -48,12 +35,9 @@ class Range(Section):
 
     @model_validator(mode="after")
     def _check(self) -> "Range":
-        ways = [way for way in ENTRIES[:3] if getattr(self, way) is not None]
+        ways = [way for way in WAYS if getattr(self, way) is not None]
         if len(ways) != 1:
             raise ValueError(f"expected one of choices, range and log, found {len(ways)}")
-        texts = [json.dumps(choice) for choice in self.choices or []]
-        if twice := [text for text in texts if texts.count(text) > 1]:
-            raise ValueError(f"the choice {twice[0]} is there twice")
         if self.step and (self.range is None or self.points):
             raise ValueError(f"step is {self.step:g}, allowed: with range, without points")
         return self
@@ -71,6 +55,19 @@ class Range(Section):
         if isinstance(base, float) or not whole:
             return FloatDistribution(low, high, self.log is not None, self.step)
         return IntDistribution(int(low), int(high), self.log is not None, int(self.step or 1))
+
+    def grid(self, distribution: Distribution) -> list[Value]:
+        """Its values in a grid; ``ValueError`` for an interval without a number of points."""
+        if isinstance(distribution, CategoricalDistribution):
+            return list(distribution.choices)
+        low, high, step = distribution.low, distribution.high, distribution.step
+        if not self.points and (step is None or distribution.log):
+            raise ValueError("a grid needs choices, step or points")
+        size = min(self.points or round((high - low) / (step or 1.0)) + 1, MAX_TRIALS + 1)
+        numbers = (np.geomspace if distribution.log else np.linspace)(low, high, size).tolist()
+        if isinstance(distribution, IntDistribution):
+            return sorted({round(number) for number in numbers})
+        return numbers
 
 
 class Search(Section):
@@ -142,15 +139,14 @@ class SweepFile(Section):
     objective: Objective = Objective()
     budget: Budget = Budget()
     executor: Executor = Executor()
-    storage: str = Field("journal", description="journal, or postgresql://USER@HOST/DATABASE")
+    storage: str = Field(
+        JOURNAL, description="journal, or a database's URL: postgresql://USER@HOST/DATABASE"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> "SweepFile":
-        if self.storage != "journal" and not DATABASE.fullmatch(self.storage):
-            raise ValueError(
-                "storage: allowed: journal, or postgresql://USER:PASSWORD@HOST:PORT/DATABASE?KEY="
-                "VALUE, in which special characters are percent-encoded"
-            )
+        if self.storage != JOURNAL and "://" not in self.storage:
+            raise ValueError("storage: allowed: journal, or the URL of a database")
         plant, plants, runs = self.objective.plant, self.objective.plants, self.objective.runs
         if plant is not None and runs % plants:
             allowed = f"multiples of objective.plants ({plants})"

@@ -1,49 +1,45 @@
-"""A sweep's Optuna study: its storage, the queue of its trials, and their states.
+"""A sweep's Optuna study: its storage, and the states of its trials.
 
-Every trial of the budget is queued from the start, with a user attribute ``index``. A trial whose
-worker died is failed and queued again with its parameters and index, unless it has an ``error``. Of
-several trials of an index, which two machines may queue at the same time, the first one counts.
+The study is in a journal that one command uses, or in a database that several machines share. A
+trial that was interrupted, or whose worker died, fails, and Optuna's retry queues it again with its
+parameters. Its folder has the number of its first attempt.
 """
 
 import contextlib
-import time
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import optuna
+from optuna.samplers import GridSampler, RandomSampler, TPESampler
 from optuna.storages.journal import JournalFileBackend
+from optuna.trial import FrozenTrial
+from sqlalchemy.exc import SQLAlchemyError
 
 from quadjax.core.errors import InputError
-from quadjax.sweeps.secrets import DATABASE, hide
+from quadjax.sweeps.schema import JOURNAL
 from quadjax.sweeps.sweep import Sweep
 
-JOURNAL, DRIVER = "study.journal", "postgresql+psycopg://"
-HEARTBEAT = 15  # s, in a database
-GRACE = 4  # missed heartbeats after which a trial of another machine is retried
-ATTEMPTS = 10  # to open a database whose tables others create
+FILE, DRIVER = "study.journal", "postgresql+psycopg://"
+SLOTS = 4099  # workers, at most
+HEARTBEAT, GRACE = 15, 60  # s, of the trials in a database; after GRACE one is taken for dead
 State = optuna.trial.TrialState
-OVER, OPEN = (State.COMPLETE, State.PRUNED), (State.RUNNING, State.WAITING)
+OVER = (State.COMPLETE, State.PRUNED, State.FAIL)
 Retry = optuna.storages.RetryHeartbeatStaleTrialCallback  # queues a failed trial again
 
 
-def open_study(sweep: Sweep, directory: Path, run: bool = True, slot: int = 0) -> optuna.Study:
+def open_study(sweep: Sweep, directory: Path, slot: int | None = None) -> optuna.Study:
     """The study of a sweep.
 
     Args:
         sweep: the sweep.
         directory: of its results.
-        run: fill the queue with all trials that are not over; the folder is claimed.
-        slot: number of the worker, which is added to the seed of the sampler.
+        slot: number of the worker that draws trials from it, which changes the sampler's seed.
 
     Raises:
         InputError: a storage that cannot be used, or a study of another sweep.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    path, search = directory / JOURNAL, sweep.file.search
-    if run and path.exists():  # a power failure leaves a line without an end
-        with open(path, "rb+") as stream:
-            stream.truncate(stream.read().rfind(b"\n") + 1)
+    search = sweep.file.search
     pruners = {
         "none": optuna.pruners.NopPruner(),
         "median": optuna.pruners.MedianPruner(n_startup_trials=search.pruner_startup),
@@ -51,136 +47,108 @@ def open_study(sweep: Sweep, directory: Path, run: bool = True, slot: int = 0) -
     }
     with storage_errors(sweep, directory):
         study = optuna.create_study(
-            storage=_storage(sweep, path),
+            storage=_storage(sweep, directory),
             study_name=sweep.file.name,
-            # The constant liar keeps trials that run at the same time apart.
-            sampler=optuna.samplers.TPESampler(
-                seed=search.seed + slot,
-                n_startup_trials=search.startup,
-                multivariate=True,
-                constant_liar=True,
-            ),
             pruner=pruners[search.pruner],
             load_if_exists=True,
         )
+        if slot is not None:  # another seed for each worker, and after each resumption
+            seed = search.seed + slot + SLOTS * len(study.get_trials(deepcopy=False))
+            if search.method == "tpe":  # the liar keeps trials that run at the same time apart
+                options = {"n_startup_trials": search.startup, "multivariate": True}
+                study.sampler = TPESampler(seed=seed, constant_liar=True, **options)
+            else:
+                study.sampler = RandomSampler(seed)
+            if search.method == "grid":
+                study.sampler = GridSampler(sweep.grid(), search.seed)
         wanted = sweep.definition()
         before = study.user_attrs.get("definition", wanted)
         for key in [*before, *wanted]:
             if before.get(key) != wanted.get(key):
                 change = f"{key} was {before.get(key)}, is {wanted.get(key)}"
                 hint = "choose another name=NAME, or start over with --overwrite"
-                raise InputError(
-                    f"the study {study.study_name} is of another sweep: {change}; {hint}"
-                )
+                other = f"the study {sweep.file.name} is of another sweep"
+                raise InputError(f"{other}: {change}; {hint}")
         if "definition" not in study.user_attrs:
             study.set_user_attr("definition", wanted)
-        if run:
-            _fill(study, sweep)
+            if search.base_first:
+                study.enqueue_trial(sweep.base_params(), skip_if_exists=True)
     return study
 
 
-def _storage(sweep: Sweep, journal: Path) -> optuna.storages.BaseStorage:
-    if sweep.file.storage == "journal":
-        return optuna.storages.JournalStorage(JournalFileBackend(str(journal)))
-    from sqlalchemy.exc import IntegrityError
-
-    for _ in range(ATTEMPTS):
-        with contextlib.suppress(IntegrityError):  # another machine creates the tables now
-            return optuna.storages.RDBStorage(
-                sweep.file.storage.replace("postgresql://", DRIVER, 1),
-                engine_kwargs={"pool_pre_ping": True},
-                heartbeat_interval=HEARTBEAT,
-                grace_period=GRACE * HEARTBEAT,
-                heartbeat_stale_trial_callback=Retry(sweep.file.executor.retries),
-            )
-        time.sleep(0.2)
-    raise InputError("storage: its tables cannot be created")
+def _storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
+    if sweep.file.storage == JOURNAL:
+        return optuna.storages.JournalStorage(JournalFileBackend(str(directory / FILE)))
+    return optuna.storages.RDBStorage(
+        sweep.file.storage.replace("postgresql://", DRIVER, 1),
+        engine_kwargs={"pool_pre_ping": True},
+        heartbeat_interval=HEARTBEAT,
+        grace_period=GRACE,
+        heartbeat_stale_trial_callback=Retry(sweep.file.executor.retries),
+    )
 
 
 @contextlib.contextmanager
 def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
-    """Turn errors of the storage into one ``InputError``, without the password of a database."""
-    kinds: tuple[type[Exception], ...] = (ValueError, LookupError, TypeError, AttributeError)
-    where, url = (
-        f"{directory / JOURNAL} is damaged, start over with --overwrite",
-        sweep.file.storage,
-    )
-    if place := DATABASE.fullmatch(url):
-        from sqlalchemy.exc import SQLAlchemyError
-
-        kinds = (SQLAlchemyError, ImportError, ValueError, optuna.exceptions.OptunaError)
-        where = f"storage: {place['place']} cannot be used"
+    """Turn errors of the storage in the block into one ``InputError``."""
+    journal, kinds = sweep.file.storage == JOURNAL, (LookupError, TypeError, AttributeError)
     try:
         yield
     except InputError:
         raise
-    except kinds as error:
-        cause = getattr(error.__cause__ or error, "orig", None) or error.__cause__ or error
+    except (SQLAlchemyError, optuna.exceptions.OptunaError, ImportError, ValueError, *kinds) as e:
+        cause = getattr(e.__cause__ or e, "orig", None) or e.__cause__ or e
         reason = (str(cause).strip().splitlines() or [type(cause).__name__])[0]
         if isinstance(cause, ImportError):
             reason += ": pip install 'quadjax[sweep-postgresql]'"
-        raise InputError(f"{where} ({hide(reason, url)})") from None
+        where = f"{directory / FILE} is damaged, start over with --overwrite"
+        where = where if journal else "storage cannot be used"
+        raise InputError(f"{where} ({reason.replace(sweep.file.storage, 'URL')})") from None
 
 
 def delete_study(sweep: Sweep, directory: Path) -> None:
     """Delete a sweep's trials from a database; those of the journal are a file."""
-    if sweep.file.storage != "journal":
+    if sweep.file.storage != JOURNAL:
         with storage_errors(sweep, directory), contextlib.suppress(KeyError):
-            storage = _storage(sweep, directory / JOURNAL)
+            storage = _storage(sweep, directory)
             optuna.delete_study(study_name=sweep.file.name, storage=storage)
 
 
-def _fill(study: optuna.Study, sweep: Sweep) -> None:
-    """Queue every trial of the budget that is not in the study, and the interrupted ones."""
-    if sweep.file.storage == "journal":  # which only this command uses
-        for trial in study.get_trials(deepcopy=False, states=(State.RUNNING,)):
-            study.tell(trial.number, state=State.FAIL)
-    latest = latest_trials(study)
-    if len(latest) > sweep.trials:
-        had = f"the study {sweep.file.name} holds {len(latest)} trials"
-        raise InputError(f"{had}, budget.trials is {sweep.trials}: a budget can only grow")
-    for index, params in enumerate(sweep.queue()):
-        if index not in latest:
-            study.enqueue_trial(params, user_attrs={"index": index})
-        elif latest[index].state == State.FAIL and "error" not in latest[index].user_attrs:
-            study.enqueue_trial(latest[index].params or params, user_attrs={"index": index})
+def retry_running(study: optuna.Study, most: int | None = None, worker: str | None = None) -> None:
+    """Fail the running trials of a worker, or of all, and queue them again.
 
-
-def retry_running(study: optuna.Study, sweep: Sweep, reason: str, worker: str | None) -> None:
-    """Fail the running trials of a worker that died, or of all (None), and queue them again.
-
-    One that was retried ``executor.retries`` times is given up: ``reason`` is its ``error``.
+    Those that were queued again ``most`` times are given up.
     """
-    retries = sweep.file.executor.retries
-    for trial in study.get_trials(deepcopy=True, states=(State.RUNNING,)):
+    for trial in study.get_trials(states=(State.RUNNING,)):
         if worker in (None, trial.user_attrs.get("worker")):
-            if len(Retry.retry_history(trial)) >= retries:
-                optuna.Trial(study, trial._trial_id).set_user_attr("error", reason)
             study.tell(trial.number, state=State.FAIL)
-            Retry(retries)(study, trial)
+            Retry(most)(study, trial)
 
 
-def latest_trials(study: optuna.Study) -> dict[int, optuna.trial.FrozenTrial]:
-    """The trial of each index: the first one that has not failed, else the last one."""
-    latest: dict[int, optuna.trial.FrozenTrial] = {}
-    for trial in study.get_trials(deepcopy=False):
-        index = trial.user_attrs.get("index")
-        if index is not None and (index not in latest or latest[index].state == State.FAIL):
-            latest[index] = trial
-    return latest
+def number_of(trial: FrozenTrial) -> int:
+    """The number of a trial's first attempt, which is that of its folder."""
+    first = Retry.retried_trial_number(trial)
+    return trial.number if first is None else first
 
 
-def count(study: optuna.Study) -> Counter[State]:
-    """The number of trials in each state; failed ones are those that are not retried."""
-    trials = latest_trials(study).values()
-    return Counter(t.state for t in trials if t.state != State.FAIL or "error" in t.user_attrs)
+def trials_over(study: optuna.Study) -> list[FrozenTrial]:
+    """Complete and pruned trials, and those that failed and are not queued again."""
+    trials = study.get_trials(deepcopy=False)
+    again = {number for trial in trials for number in Retry.retry_history(trial)}
+    return [t for t in trials if t.state in OVER and t.number not in again]
 
 
-def progress(study: optuna.Study) -> str:
+def left(study: optuna.Study, sweep: Sweep) -> int:
+    """The number of trials of the budget that no worker has begun."""
+    running = study.get_trials(deepcopy=False, states=(State.RUNNING,))
+    return max(0, sweep.trials - len(running) - len(trials_over(study)))
+
+
+def progress(study: optuna.Study, sweep: Sweep) -> str:
     """Trials that are over, of all, and the shortest lap time of those that finished a flight."""
-    counts, trials = count(study), latest_trials(study).values()
-    flown = [t for t in trials if t.state == State.COMPLETE and t.user_attrs["finished"]]
-    best = min((t.values[0] for t in flown), default=None)
-    text = f"{sum(counts[state] for state in OVER)}/{counts.total()} trials, "
-    text += "no flight finished yet" if best is None else f"best {best:.2f} s"
-    return text + (f", {counts[State.FAIL]} failed" if counts[State.FAIL] else "")
+    trials = trials_over(study)
+    values = [t.values[0] for t in trials if t.values and t.user_attrs["finished"]]
+    failed = sum(t.state == State.FAIL for t in trials)
+    text = f"{len(trials) - failed}/{sweep.trials} trials, "
+    text += f"best {min(values):.2f} s" if values else "no flight finished yet"
+    return text + (f", {failed} failed" if failed else "")

@@ -1,4 +1,4 @@
-"""Sweeps: the search space, the parameters of the trials, and the check that each can run."""
+"""Sweeps: a sweep file with its base config, and the check that each of its trials can run."""
 
 import dataclasses
 import itertools
@@ -17,15 +17,7 @@ from quadjax.core.resources import find_file
 from quadjax.core.sections import validate, value_at
 from quadjax.core.yaml_files import flatten, merge_trees, override, parse_overrides, read_yaml
 from quadjax.plant.config import load_plant_config
-from quadjax.sweeps.schema import (
-    ENTRIES,
-    MAX_TRIALS,
-    Distribution,
-    SweepFile,
-    Value,
-    stored,
-    values_of,
-)
+from quadjax.sweeps.schema import ENTRIES, MAX_TRIALS, Distribution, SweepFile, Value, stored
 
 TRIALS = 20  # of a sweep without a budget
 COMBINATIONS = 64  # of the space's ends that are all checked
@@ -44,11 +36,6 @@ class Sweep:
     space: Mapping[str, Distribution]
     conditions: tuple[str, ...]  # overrides: the race in which every policy is evaluated
 
-    def override(self, key: str, value: Value) -> str:
-        """The ``key=value`` override of a stored value of the space."""
-        choices = self.file.space[key].choices or ()
-        return override(key, next((x for x in choices if stored(x) == value), value))
-
     def suggest(self, trial: optuna.Trial) -> Params:
         """The parameters of a trial."""
         for key, d in self.space.items():
@@ -62,7 +49,11 @@ class Sweep:
 
     def config_of(self, params: Params, *more: str) -> Config:
         """A trial's config with more overrides; ``InputError`` if they do not go together."""
-        changes = [self.override(key, value) for key, value in params.items()]
+        choices = {key: self.file.space[key].choices or () for key in params}
+        changes = [
+            override(key, next((x for x in choices[key] if stored(x) == value), value))
+            for key, value in params.items()
+        ]
         return load_config(self.base, [*self.overrides, *changes, *more])
 
     def base_params(self) -> Params:
@@ -71,50 +62,23 @@ class Sweep:
         return {key: stored(value_at(config, key, missing=1.0)) for key in self.space}
 
     def grid(self) -> dict[str, list[Value]]:
-        """Every value of a grid by key."""
+        """The values of a grid by key; ``InputError`` for an interval without points."""
         grid = {}
         for key, distribution in self.space.items():
-            points = self.file.space[key].points
-            values = values_of(distribution, points)
-            if values is None or (self.file.space[key].log and not points):
-                raise InputError(f"space.{key}: a grid needs choices, step or points")
-            grid[key] = values
+            with prefixed(f"space.{key}"):
+                grid[key] = self.file.space[key].grid(distribution)
         return grid
-
-    def size(self) -> float:
-        """The number of points of the space; infinite with a continuous interval."""
-        values = map(values_of, self.space.values())
-        return math.prod(math.inf if v is None else len(v) for v in values)
 
     @property
     def trials(self) -> int:
-        """The budget, or all points of a grid or of a small space that is searched at random."""
-        budget, method = self.file.budget.trials, self.file.search.method
-        if method == "grid":
-            points, limit = math.prod(map(len, self.grid().values())), budget or MAX_TRIALS
-            if points > limit:
-                raise InputError(f"the grid has {points} points, allowed by budget.trials: {limit}")
-            return points
-        size = self.size() if method == "random" else math.inf
-        if budget and budget > size:
-            allowed = f"at most {size:.0f}, the number of points of the space"
-            raise InputError(f"budget.trials is {budget}, allowed: {allowed}")
-        return budget or int(min(TRIALS, size))
-
-    def queue(self) -> list[Params]:
-        """Parameters of all trials, whatever order they end in; empty where TPE chooses them."""
-        search = self.file.search
-        if search.method == "grid":
-            values = self.grid()
-            return [dict(zip(values, x, strict=True)) for x in itertools.product(*values.values())]
-        count = self.trials if search.method == "random" else min(search.startup, self.trials)
-        study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=search.seed))
-        size, drawn = self.size(), [self.base_params()] if search.base_first else []
-        while len(drawn) < count:  # all differ until the space has no others
-            params = study.ask(dict(self.space)).params
-            if params not in drawn or len(drawn) >= size:
-                drawn.append(params)
-        return [*drawn, *({} for _ in range(self.trials - count))]
+        """The budget; by default the size of the grid, or ``TRIALS``."""
+        budget = self.file.budget.trials
+        if self.file.search.method != "grid":
+            return budget or TRIALS
+        points, limit = math.prod(map(len, self.grid().values())), budget or MAX_TRIALS
+        if points > limit:
+            raise InputError(f"the grid has {points} points, allowed by budget.trials: {limit}")
+        return points
 
     def check(self) -> None:
         """Check the budget, each end of all ranges, and their combinations where these are few.
@@ -130,9 +94,9 @@ class Sweep:
         if math.prod(map(len, ends.values())) <= COMBINATIONS:
             tried = [dict(zip(ends, x, strict=True)) for x in itertools.product(*ends.values())]
         for params in tried:
-            with prefixed("space: " + ", ".join(self.override(*item) for item in params.items())):
+            with prefixed("space: " + ", ".join(override(*item) for item in params.items())):
                 self.config_of(params)
-        assert self.trials  # raises where the budget does not fit the space
+        assert self.trials  # raises where the budget does not fit the grid
         if self.file.search.base_first:
             with prefixed("search.base_first"):
                 optuna.create_trial(
@@ -163,10 +127,8 @@ def load_sweep(path: Path | str, changes: Sequence[str] = ()) -> Sweep:
     with prefixed(str(path)):
         name, *parts = file.config.split(" +")
         base = find_file(name, [path.parent])
-        overrides = (
-            *(f"+{part}" for part in parts),
-            *(override(*x) for x in file.overrides.items()),
-        )
+        words = [f"+{part}" for part in parts]
+        overrides = (*words, *(override(*item) for item in file.overrides.items()))
         config, space, race = load_config(base, overrides), {}, {}
         for key, values in file.space.items():
             with prefixed(f"space.{key}"):

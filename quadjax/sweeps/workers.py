@@ -26,27 +26,27 @@ class LocalWorkers:
 
     def __init__(self, executor: Executor, logs: Path) -> None:
         """Prepare; ``InputError`` for more workers than there are cores, or GPUs for them."""
-        process, gpus, n = psutil.Process(), visible_gpus(), executor.gpus
+        process, n = psutil.Process(), executor.gpus
         pinned = hasattr(process, "cpu_affinity")
         cores = process.cpu_affinity() if pinned else [None] * (psutil.cpu_count() or 1)
-        self._places: list[tuple[int | None, str | None]] = [(core, None) for core in cores]
-        key, what = "workers", "the cores of this process"
+        self._places: list[tuple[int | None, str]] = [(core, "") for core in cores]
+        what = "the cores of this process"
         if n:
+            gpus = visible_gpus()
             firsts = [int(slot * n + 1e-9) for slot in range(int(len(gpus) / n + 1e-9))]
             self._places = [(None, ",".join(gpus[i : i + math.ceil(n)])) for i in firsts]
-            key, what = "workers" if firsts else "gpus", f"room on {len(gpus)} GPUs"
+            what = f"room on {len(gpus)} GPUs for executor.gpus {n:g}"
         room = len(self._places)
         self.count, self._share, self._logs = executor.workers or room, n, logs
         if self.count > room or not room:
-            value = getattr(executor, key)
-            raise InputError(f"executor.{key} is {value:g}, allowed: up to {room}, {what}")
+            raise InputError(f"executor.workers is {self.count}, allowed: up to {room}, {what}")
 
     def start(self, slot: int, function: Callable[..., None], *arguments: Any) -> BaseProcess:
         """Call a function in a worker."""
         self._logs.mkdir(parents=True, exist_ok=True)
         log = self._logs / f"worker{slot}.log"
-        own = (log, *self._places[slot], self._share, function, *arguments)
-        process = SPAWN.Process(target=_serve, args=own, name=str(log), daemon=True)
+        task = (log, *self._places[slot], self._share, function, *arguments)
+        process = SPAWN.Process(target=_serve, args=task, name=str(log), daemon=True)
         process.start()
         return process
 
@@ -75,7 +75,7 @@ def visible_gpus() -> list[str]:
 def _serve(
     log: Path,
     core: int | None,
-    gpu: str | None,
+    gpus: str,
     share: float,
     function: Callable[..., None],
     *arguments: Any,
@@ -88,26 +88,26 @@ def _serve(
     os.dup2(stream, 1)
     os.dup2(stream, 2)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    use_device(gpu, share)
-    function(*arguments)
+    _call(gpus, share, function, *arguments)
 
 
-def use_device(gpu: str | None, share: float) -> None:
-    """Choose JAX's device before its first use: a GPU and a part of its memory, or the CPU."""
+def _call(gpus: str, share: float, function: Callable[..., None], *arguments: Any) -> None:
+    """Choose JAX's devices before its first use: GPUs and a part of their memory, or the CPU."""
     import jax
 
-    if gpu is None:
+    if gpus:
+        os.environ["CUDA_VISIBLE_DEVICES"] = gpus
+        if share < 1:  # JAX allocates three quarters of a GPU's memory by default
+            os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", f"{MEMORY * share:.3f}")
+    else:
         jax.config.update("jax_platforms", "cpu")
-        return
-    os.environ["CUDA_VISIBLE_DEVICES"] = gpu
-    if share < 1:  # JAX allocates three quarters of a GPU's memory by default
-        os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", f"{MEMORY * share:.3f}")
+    function(*arguments)
 
 
 def _end_with_parent() -> None:
     parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
+    assert parent is not None
+    parent.join()
     os.kill(os.getpid(), signal.SIGTERM)
 
 
@@ -121,22 +121,22 @@ class RayWorkers:
         except ImportError:
             raise InputError("executor.kind is ray: pip install 'quadjax[ray]'") from None
 
-        self._ray, need = ray, {"CPU": executor.cpus, "GPU": executor.gpus}
         if not ray.is_initialized():
             try:
                 ray.init(address=executor.address, log_to_driver=False)
             except (ConnectionError, ValueError) as error:
                 hint = "no Ray cluster answers; start one with ray start --head"
                 raise InputError(f"executor.address is {executor.address}: {hint}") from error
+        need = {"CPU": executor.cpus, "GPU": executor.gpus}
+        nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
         room = sum(
-            min(int(node["Resources"].get(kind, 0.0) / n + 1e-9) for kind, n in need.items() if n)
-            for node in ray.nodes()
-            if node["Alive"]
+            min(int(node.get(kind, 0.0) / n + 1e-9) for kind, n in need.items() if n)
+            for node in nodes
         )
         if not room:
             text = f"{executor.cpus:g} CPUs and {executor.gpus:g} GPUs"
             raise InputError(f"executor: no node has {text}")
-        self.count, self._share = executor.workers or room, executor.gpus
+        self._ray, self.count, self._share = ray, executor.workers or room, executor.gpus
         options = {"num_cpus": executor.cpus, "num_gpus": executor.gpus, "max_retries": 0}
         self._task = ray.remote(_task).options(**options)  # the study retries
 
@@ -163,13 +163,4 @@ class RayWorkers:
 def _task(share: float, function: Callable[..., None], *arguments: Any) -> None:
     import ray
 
-    visible = ray.get_gpu_ids()
-    use_device(",".join(map(str, visible)) if visible else None, share)
-    function(*arguments)
-
-
-def make_workers(executor: Executor, directory: Path) -> LocalWorkers | RayWorkers:
-    """The workers that a sweep file selects, whose logs are in ``directory/logs``."""
-    if executor.kind == "ray":
-        return RayWorkers(executor)
-    return LocalWorkers(executor, directory / "logs")
+    _call(",".join(map(str, ray.get_gpu_ids())), share, function, *arguments)

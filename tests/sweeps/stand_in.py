@@ -1,6 +1,7 @@
-"""Small sweeps, and trials whose training is a short sleep or nothing.
+"""A small sweep, whose trainings are a short sleep or nothing.
 
-``python -m tests.sweeps.stand_in FILE RUNS [key=value ...]`` runs a whole sweep of such trials.
+``python -m tests.sweeps.stand_in FILE RUNS [key=value ...]`` is ``quadjax sweep`` without its
+trainings.
 """
 
 import os
@@ -10,13 +11,13 @@ from pathlib import Path
 
 import optuna
 
-from quadjax.core.errors import run_command
-from quadjax.core.folders import claim
+from quadjax import cli
+from quadjax.core.errors import InputError
 from quadjax.core.yaml_files import to_yaml
-from quadjax.sweeps.run import run_sweep
-from quadjax.sweeps.study import State, count, latest_trials, open_study
-from quadjax.sweeps.sweep import load_sweep
-from quadjax.sweeps.workers import make_workers
+from quadjax.sweeps import run
+from quadjax.sweeps.study import open_study, trials_over
+from quadjax.sweeps.sweep import Sweep, load_sweep
+from quadjax.sweeps.workers import LocalWorkers, RayWorkers
 
 SECONDS = float(os.environ.get("STAND_IN_SECONDS", "0.2"))
 ROOT = Path(__file__).resolve().parents[2]
@@ -50,67 +51,51 @@ def open_small(folder: Path, *overrides: str, **entries: object):
     """The small sweep, its folder and its study."""
     sweep = load_sweep(sweep_file(folder, **entries), overrides)
     directory = folder / "runs" / sweep.file.name
-    directory.mkdir(parents=True, exist_ok=True)
     return sweep, directory, open_study(sweep, directory)
 
 
-def finish(study: optuna.Study, sweep, value=None, flown: float = 1.0) -> optuna.Trial:
-    """Take the next trial of the queue and give it a value."""
-    trial = study.ask()
-    params = sweep.suggest(trial)
-    value = value_of(params[CLIP], params.get(RATE, 0.0)) if value is None else value
-    own = {"values": [value], "finished": flown, "seconds": 1.5, "host": "here"}
-    for name, item in own.items():
-        trial.set_user_attr(name, item)
-    study.tell(trial, value)
-    return trial
-
-
-def run_small(sweep, directory: Path, measure) -> bool:
+def run_small(sweep: Sweep, directory: Path, measure) -> bool:
     """Run the small sweep with a stand-in for its trainings."""
-    return run_sweep(sweep, directory, make_workers(sweep.file.executor, directory), measure)
+    executor = sweep.file.executor
+    kind = RayWorkers if executor.kind == "ray" else LocalWorkers
+    workers = kind(executor) if kind is RayWorkers else kind(executor, directory / "logs")
+    return run.run_sweep(sweep, directory, workers, measure)
 
 
 def complete(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
-    """The complete trials in the order of their indexes."""
-    found = sorted(latest_trials(study).items())
-    return [trial for _, trial in found if trial.state == State.COMPLETE]
+    """The complete trials in the order of their numbers."""
+    return [t for t in trials_over(study) if t.state == optuna.trial.TrialState.COMPLETE]
 
 
-def value_of(clip: float, rate: float) -> float:
-    """What the stand-in for a training finds."""
-    return 10.0 + abs(clip - 0.2) * 50.0 + 100.0 * rate
+def value_of(params) -> float:
+    """What the stand-in for a training measures."""
+    return 10.0 + abs(params[CLIP] - 0.2) * 50.0 + 100.0 * params[RATE]
 
 
-def measure(sweep, params, index, seed, folder, enough):
+def measure(sweep, params, seed, folder, enough):
     """Resume a counter of ticks in the trial's folder, and stop on request."""
     folder = folder.parent
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / "workers", "a") as stream:
         stream.write(f"{os.getpid()}\n")
     ticks = folder / "ticks"
-    value = value_of(params[CLIP], params[RATE])
     for tick in range(int(ticks.read_text()) if ticks.exists() else 0, 10):
         time.sleep(SECONDS / 10)
         ticks.write_text(str(tick + 1))
-        if enough((tick + 1) / 10, value):
+        if enough((tick + 1) / 10, value_of(params)):
             return None
-    with open(folder / "finished", "a") as stream:
-        stream.write(f"{os.getpid()}\n")
-    return value, 1.0
+    return value_of(params), 1.0
 
 
-def sweep(path: str, runs: str, *overrides: str) -> int:
-    """A whole sweep without its report."""
-    loaded = load_sweep(path, overrides)
-    directory = Path(runs) / loaded.file.name
-    with claim(directory, "sweep"):
-        if not run_small(loaded, directory, stand_in.measure):
-            return 130
-        return int(count(open_study(loaded, directory, run=False))[State.FAIL] > 0)
+def impossible(sweep, params, seed, folder, enough):
+    """A training that a config does not allow, where the clip is large."""
+    if params[CLIP] > 0.2:
+        raise InputError("track: the gates overlap")
+    return value_of(params), 1.0
 
 
 if __name__ == "__main__":
     from tests.sweeps import stand_in  # so that workers find ``measure`` by its module
 
-    sys.exit(run_command(lambda: sweep(*sys.argv[1:])))
+    run.train_and_fly = stand_in.measure
+    sys.exit(cli.run(["sweep", sys.argv[1], "--output", *sys.argv[2:]]))

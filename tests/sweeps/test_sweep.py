@@ -1,20 +1,26 @@
-"""Sweep files: what is refused in one line before anything runs, and what a grid holds."""
+"""Sweep files, their studies, a real trial, and the report."""
 
+import csv
+from threading import Event
+from types import SimpleNamespace
+
+import numpy as np
+import optuna
 import pytest
+from PIL import Image
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.yaml_files import parse_yaml, to_yaml
+from quadjax.race.laps import Laps
+from quadjax.sweeps.report import write_report
+from quadjax.sweeps.run import TrialStopped, objective, train_and_fly
+from quadjax.sweeps.study import FILE, State, left, open_study
 from quadjax.sweeps.sweep import load_sweep
 from tests.commands import run
-from tests.sweeps.stand_in import CLIP, RATE, ROOT, TINY, sweep_file
+from tests.sweeps.stand_in import CLIP, RATE, ROOT, TINY, complete, open_small, sweep_file, value_of
 
 EPOCHS, HIDDEN = "learner.num_epochs", "network.hidden"
-
-
-def space(entries):
-    return {"space": entries}
-
 
 # Changes of the small sweep, and words of the error.
 REFUSED = """
@@ -22,7 +28,6 @@ space: {learner.rate: {range: [0, 1]}} | space.learner.rate learning_rate
 space: {learner: {range: [0, 1]}} | space.learner section clip
 space: {learner.clip_range: {range: [0.4, 0.3]}} | space.learner.clip_range 0.4 0.3
 space: {learner.num_epochs: {choices: []}} | space.learner.num_epochs choices
-space: {learner.num_epochs: {choices: [3, 3]}} | 3 twice
 space: {learner.clip_range: {range: [a, 1]}} | space.learner.clip_range range
 space: {learner.clip_range: {range: [0.1, 1e+99]}} | clip_range 1e+99
 space: {learner.num_epochs: {range: [1, 2.5]}} | 2.5 whole
@@ -43,7 +48,7 @@ objective: {runs: 1000000000} | objective.runs
 objective: {runs: 10, plant: standin, plants: 3} | objective.runs 10 multiples (3)
 objective: {plant: stanndin} | stanndin
 config: none.yaml | config none.yaml file
-storage: mysql://u:secret@host/d | storage postgresql://
+storage: study.db | storage journal URL
 name: a/b | name a/b
 overrides: {ppo.klip: 1} | ppo
 search: {method: grid} | learner.learning_rate choices, step or points
@@ -63,70 +68,206 @@ def test_impossible_sweeps(tmp_path):
             load_sweep(sweep_file(tmp_path, **parse_yaml(entries, "case")))
         text = str(caught.value)
         assert all(word in text for word in [*words.split(), "small.yaml"]), (line, text)
-        assert "\n" not in text and "secret" not in text
+        assert "\n" not in text
 
 
-def test_the_command_refuses_in_one_line_and_leaves_nothing(tmp_path, capsys):
-    path = sweep_file(tmp_path, **space({"learner.rate": {"range": [0, 1]}}))
-    assert run("sweep", path, "--output", tmp_path / "runs") == 2
-    printed = capsys.readouterr()
-    assert not printed.out and not (tmp_path / "runs").exists()
+def test_the_command_refuses_in_one_line_without_a_password_and_leaves_nothing(tmp_path, capfd):
+    runs = tmp_path / "runs"
+    path = sweep_file(tmp_path, space={"learner.rate": {"range": [0, 1]}})
+    assert run("sweep", path, "--output", runs) == 2
+    printed = capfd.readouterr()
     assert len(printed.err.splitlines()) == 1 and "space.learner.rate" in printed.err
-    assert run("sweep", sweep_file(tmp_path), "--check", "--output", tmp_path / "runs") == 0
-    assert "4 trials of 1 seeds" in capsys.readouterr().out and not (tmp_path / "runs").exists()
+    for url in ("postgresql://me:s3cret@127.0.0.1:9/none", "nonsense://me:s3cret@host/none"):
+        assert run("sweep", sweep_file(tmp_path, storage=url), "--output", runs) == 2
+        printed = capfd.readouterr()
+        assert len(printed.err.splitlines()) == 1 and "storage" in printed.err
+        assert not printed.out.count("s3cret") and "s3cret" not in printed.err
+    assert run("sweep", sweep_file(tmp_path), "--check", "--output", runs) == 0
+    assert "4 trials of 1 seeds" in capfd.readouterr().out and not runs.exists()
 
 
-def test_a_grid_holds_every_point(tmp_path):
-    given = {
+def test_a_grid_holds_every_point_and_overrides_change_a_sweep(tmp_path):
+    space = {
         CLIP: {"range": [0.1, 0.3], "points": 3},
         RATE: {"log": [1e-4, 1e-2], "points": 3},
         EPOCHS: {"range": [2, 6], "step": 2},
         HIDDEN: {"choices": [[8], [16, 16]]},
     }
-    sweep = load_sweep(sweep_file(tmp_path, search={"method": "grid"}, budget={}, **space(given)))
+    path = sweep_file(tmp_path, search={"method": "grid"}, budget={}, space=space)
+    sweep = load_sweep(path)
     grid = sweep.grid()
     assert grid[CLIP] == pytest.approx([0.1, 0.2, 0.3])
     assert grid[RATE] == pytest.approx([1e-4, 1e-3, 1e-2])
     assert grid[EPOCHS] == [2, 4, 6] and grid[HIDDEN] == ["[8]", "[16, 16]"]
-    points = [tuple(params.values()) for params in sweep.queue()]
-    assert len(points) == len(set(points)) == sweep.trials == 54
-    config = sweep.config_of({key: values[-1] for key, values in grid.items()})
+    assert sweep.trials == 54
+    config = sweep.config_of({key: values[-1] for key, values in grid.items()}, "seed=4")
     assert list(config.network.hidden) == [16, 16] and config.learner.num_epochs == 6
     assert config.learner.clip_range == 0.3 and config.learner.learning_rate == 1e-2
+    changes = ["search.method=tpe", "budget.trials=9", f"space.{CLIP}={{range: [0.2, 0.4]}}"]
+    sweep = load_sweep(path, [*changes, "overrides.learner.num_epochs=2", "name=other"])
+    assert sweep.trials == 9 and sweep.file.name == "other" and sweep.space[CLIP].high == 0.4
+    assert sweep.config_of({CLIP: 0.25}).learner.num_envs == config.seed * 4 == 16
 
 
-def test_overrides_change_a_sweep(tmp_path):
-    changes = ["budget.trials=9", f"space.{CLIP}.range=[0.2,0.4]", "name=other"]
-    sweep = load_sweep(sweep_file(tmp_path), [*changes, "overrides.learner.num_epochs=2"])
-    assert sweep.trials == 9 and sweep.file.name == "other"
-    assert (sweep.space[CLIP].low, sweep.space[CLIP].high) == (0.2, 0.4)
-    config = sweep.config_of({CLIP: 0.25, RATE: 1e-3}, "name=t", "seed=4")
-    learner = config.learner
-    assert (learner.clip_range, learner.num_epochs, learner.num_envs) == (0.25, 2, 16)
-    assert (config.seed, config.name) == (4, "t")
-
-
-def test_every_trial_is_evaluated_in_the_same_race(tmp_path):
-    """Where the space varies the race itself, policies fly in the base's."""
+def test_the_base_is_a_preset_or_a_file_and_every_trial_is_evaluated_in_its_race(tmp_path):
     varied = {
         "randomization.thrust": {"range": [0.0, 0.3]},
         "start.position": {"range": [0.1, 1.0]},
     }
-    sweep = load_sweep(sweep_file(tmp_path, **space(varied)))
-    base = load_config(sweep.base)
-    race = sweep.config_of({"randomization.thrust": 0.3, "start.position": 1.0}, *sweep.conditions)
+    sweep = load_sweep(sweep_file(tmp_path, space=varied, config="e2e_ppo"))
+    params = {"randomization.thrust": 0.3, "start.position": 1.0}
+    race, base = sweep.config_of(params, *sweep.conditions), load_config(sweep.base)
     assert race.randomization.thrust == 0.0 and race.start.position == base.start.position
-    entries = space(varied) | {"conditions": {"randomization": {"thrust": 0.1}}}
-    sweep = load_sweep(sweep_file(tmp_path, **entries))
-    race = sweep.config_of({"randomization.thrust": 0.3, "start.position": 1.0}, *sweep.conditions)
-    assert race.randomization.thrust == 0.1
-
-
-def test_the_base_config_is_found_by_the_name_of_a_preset(tmp_path):
-    path = sweep_file(tmp_path, config="e2e_ppo")
-    assert load_sweep(path).config_of({CLIP: 0.2, RATE: 1e-3}).learner.algorithm == "ppo"
-    base = str(ROOT / "configs/e2e_ppo.yaml")
-    (tmp_path / "own.yaml").write_text(to_yaml({"base": base, "learner": {"num_epochs": 7}}))
-    own = {key: value for key, value in TINY.items() if key != "learner"}
-    path = sweep_file(tmp_path, config="own.yaml", overrides=own)
+    assert race.learner.algorithm == "ppo"
+    conditions = {"randomization": {"thrust": 0.1}}
+    sweep = load_sweep(sweep_file(tmp_path, space=varied, conditions=conditions))
+    assert sweep.config_of(params, *sweep.conditions).randomization.thrust == 0.1
+    tree = {"base": str(ROOT / "configs/e2e_ppo.yaml"), "learner": {"num_epochs": 7}}
+    (tmp_path / "mine.yaml").write_text(to_yaml(tree))
+    changes = {key: value for key, value in TINY.items() if key != "learner"}
+    path = sweep_file(tmp_path, config="mine.yaml", overrides=changes)
     assert load_sweep(path).config_of({CLIP: 0.2, RATE: 1e-3}).learner.num_epochs == 7
+
+
+def test_a_study_takes_only_its_own_sweep_and_damage_is_one_line(tmp_path):
+    sweep, directory, study = open_small(tmp_path)
+    assert left(study, sweep) == 4
+    larger, _, study = open_small(tmp_path, "budget.trials=6")
+    assert left(study, larger) == 6
+    for change, message in (
+        ("objective.seeds=2", r"objective.seeds was 1, is 2"),
+        (f"space.{CLIP}.range=[0.1,0.4]", r"space.learner.clip_range was .*0.3.* is .*0.4"),
+        ("overrides.learner.discount=0.9", r"config.*discount was 0.99.*, is 0.9"),
+    ):
+        with pytest.raises(InputError, match=message):
+            open_small(tmp_path, change)
+    whole = (directory / FILE).read_bytes()
+    for damage in (b"[]\n" + whole, whole.replace(b"\n", b"\x00\xff\n"), b"{}\n" + whole):
+        (directory / FILE).write_bytes(damage)
+        with pytest.raises(InputError, match=r"study.journal is damaged.*--overwrite") as caught:
+            open_study(sweep, directory)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
+    search = {"method": "random", "pruner": "median"}
+    sweep, directory, study = open_small(tmp_path, search=search, objective={"seeds": 2, "runs": 2})
+    stops = []
+
+    def measure(sweep, params, seed, folder, enough):
+        def stop_once(fraction, value):
+            stops.append(fraction)
+            return enough(fraction, value) or len(stops) == 2
+
+        return train_and_fly(sweep, params, seed, folder, stop_once)
+
+    trial = study.ask()
+    with pytest.raises(TrialStopped):
+        objective(trial, sweep, directory, measure, Event())
+    assert trial.user_attrs["values"] == [] and stops == [0.25, 0.5]
+    assert objective(trial, sweep, directory, measure, Event()) == 8.0  # the limit of the one lap
+    assert trial.user_attrs["values"] == [8.0, 8.0] and trial.user_attrs["finished"] == 0.0
+    assert stops[2:] == [0.75, 1.0, 0.25, 0.5, 0.75, 1.0]
+    assert [*study.trials[0].intermediate_values] == [2, 5, 7, 10, 12, 15, 17, 20]
+
+
+@pytest.mark.slow
+def test_a_trial_is_judged_on_drawn_plants(tmp_path, monkeypatch):
+    flown = []
+
+    def fly(policy, race, *, plant, plants, runs, **_):
+        flown.append((runs, plants, plant, race.vehicle.model))
+        times, ends = np.array([[5.0], [np.nan]] * 3), ("", "hit a gate") * 3
+        laps = Laps(times, ends, np.array([5.0, 1.0] * 3), 8.0)
+        return SimpleNamespace(laps=laps, finished=laps.finished)
+
+    monkeypatch.setattr("quadjax.evaluation.evaluate.evaluate", fly)
+    plant = {"seeds": 1, "runs": 6, "plant": "standin", "plants": 2}
+    sweep, directory, _ = open_small(tmp_path, objective=plant)
+    params, folder = {CLIP: 0.2, RATE: 1e-3}, directory / "trials/0000/seed0"
+    value = train_and_fly(sweep, params, 0, folder, lambda fraction, value: False)
+    assert flown == [(6, 2, "standin", "motor")]
+    assert value == (6.5, 0.5)  # 5 s, and the limit of 8 s
+
+
+def test_a_lap_that_is_not_completed_counts_its_share_of_the_time_limit():
+    for times, limit, value in (
+        ([[2.0, 3.0]], 16.0, 5.0),
+        ([[2.0, 3.0], [2.0, np.nan]], 16.0, 7.5),
+        ([[np.nan, np.nan]], 40.0, 40.0),
+    ):
+        assert Laps(np.array(times), ("",), np.zeros(1), limit).penalized == value
+
+
+@pytest.mark.slow
+def test_a_whole_sweep_by_its_command(tmp_path, capfd):
+    path = sweep_file(tmp_path, budget={"trials": 2}, search={"method": "tpe"})
+    arguments = ["sweep", path, "--workers", 1, "--output", tmp_path / "runs"]
+    assert run(*arguments) == 0
+    printed = capfd.readouterr()
+    assert "2/2 trials, no flight finished yet" in printed.err
+    assert "No policy finished a flight" in printed.out and "best" not in printed.out
+    folder = tmp_path / "runs" / "small"
+    trained = load_config(folder / "trials/0001/seed0/config.yaml")
+    assert trained.run.devices == 1 and trained.learner.num_envs == 16
+    assert "No policy" in (folder / "report.md").read_text()
+    assert not (folder / "best.yaml").exists()
+    (folder / "notes.txt").write_text("mine")
+    assert run(*arguments, "--report") == 0
+    assert run(*arguments[:2], "--overwrite", "--report", *arguments[4:]) == 0
+    assert (folder / "notes.txt").exists()
+
+
+def test_the_report_has_a_table_figures_and_the_best_config(tmp_path):
+    """Of thirty trials; one failed, one is without a finished flight."""
+    hidden = {HIDDEN: {"choices": [[8], [16, 16]]}}
+    space = {CLIP: {"range": [0.1, 0.3]}, RATE: {"log": [1e-4, 1e-2]}} | hidden
+    sweep, directory, study = open_small(tmp_path, space=space, budget={"trials": 30})
+    for index in range(30):
+        trial = study.ask()
+        params = sweep.suggest(trial)
+        attrs = {"finished": float(index != 3), "seconds": 1.5, "host": "here", "values": [1.0]}
+        for name, item in (attrs if index != 7 else {"error": "not enough memory"}).items():
+            trial.set_user_attr(name, item)
+        if index == 7:
+            study.tell(trial, state=State.FAIL)
+        else:
+            study.tell(trial, 48.0 if index == 3 else value_of(params))
+    text = write_report(study, sweep, directory)
+    with open(directory / "trials.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    values = [float(row["median"]) for row in rows[:-1]]
+    assert len(rows) == 30 and values == sorted(values) and values[-1] == 48.0
+    assert rows[-1]["error"] == "not enough memory" and "[16, 16]" in str(rows)
+    assert values[0] == pytest.approx(min(t.value for t in complete(study)), abs=1e-3)
+    assert "best.yaml" in text and rows[0]["median"] in text
+    config = load_config(directory / "best.yaml")
+    assert config.learner.clip_range == pytest.approx(float(rows[0][CLIP]), rel=1e-3)
+    assert config.name == "small_best" and config.run.devices == "auto"
+    for name in ("parallel.png", "slices.png", "importances.png"):
+        with Image.open(directory / name) as image:
+            assert image.size[0] > 600 and len(set(image.convert("L").tobytes())) > 20
+
+
+@pytest.mark.parametrize("method", ["tpe", "random", "grid"])
+def test_the_samplers_of_optuna(tmp_path, method):
+    """A grid visits each point once; a trial that was interrupted keeps its parameters."""
+    space = {CLIP: {"choices": [0.1, 0.2, 0.3]}, EPOCHS: {"range": [1, 2]}}
+    search = {"method": method, "base_first": method != "grid"}
+    sweep, directory, _ = open_small(tmp_path, space=space, search=search, budget={"trials": 6})
+    study = open_study(sweep, directory, slot=0)
+    study.optimize(lambda trial: sum(sweep.suggest(trial).values()), n_trials=6)
+    kind = {"tpe": "TPESampler", "random": "RandomSampler", "grid": "GridSampler"}[method]
+    assert isinstance(study.sampler, getattr(optuna.samplers, kind))
+    points = [tuple(trial.params.values()) for trial in study.trials]
+    assert len(points) == 6 and left(study, sweep) == 0
+    assert points[0] == (0.2, 1) if method != "grid" else len(set(points)) == 6
+
+
+def test_a_resumed_random_search_draws_other_points(tmp_path):
+    sweep, directory, _ = open_small(tmp_path)
+    for slot in (0, 1, 0):
+        study = open_study(sweep, directory, slot)
+        study.optimize(lambda trial: sum(sweep.suggest(trial).values()), n_trials=2)
+    assert len({tuple(trial.params.values()) for trial in study.trials}) == 6
