@@ -19,7 +19,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
 from quadjax.core.sections import Field, Section, load_section
-from quadjax.evaluation.seeds import train_once
+from quadjax.evaluation.training import train_once
 
 Names = Annotated[tuple[str, ...], Parameter(consume_multiple=True, metavar="NAME ...")]
 TITLES = ("track", "drone", "lap", "best known", "gap", "finished", "top speed")

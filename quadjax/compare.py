@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.config.schema import Config
+from quadjax.config.schema import Config, Vehicle
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import file_record, provenance
@@ -18,7 +18,6 @@ from quadjax.evaluation.plants import MOTOR_COMMAND, RECORDED
 from quadjax.evaluation.report import fastest_responses, write_report
 from quadjax.evaluation.rows import Row, common, interval
 from quadjax.evaluation.table import Table, interval_text, lap_table
-from quadjax.flights.flight import Flight
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import race_config
 from quadjax.policy.file import Policy
@@ -30,136 +29,109 @@ WORLDS = SIMULATED, ON_PLANT = "simulated", "stand-in plant"
 Report = Callable[[str], object]
 
 
-@dataclasses.dataclass(frozen=True)
-class Setting:
-    """What both contenders fly.
-
-    Attributes:
-        policies: their files, by the names of ``KINDS``.
-        race: its vehicle is the model on board.
-        plant: the stand-in plant.
-        conditions: of the part "plants".
-        laps: of a flight.
-        runs: number of flights.
-        seed: of batteries, gusts, sensors and noise.
-        plants: drawn plants of the part "plants", which share the runs.
-        deterministic: mean actions rather than samples.
-    """
-
-    policies: Mapping[str, Path]
-    race: Config
-    plant: PlantConfig
-    conditions: Conditions
-    laps: int = 6
-    runs: int = 100
-    seed: int = 0
-    plants: int = 10
-    deterministic: bool = True
-
-    @property
-    def protocol(self) -> dict[str, Any]:
-        """Arguments of ``evaluate``."""
-        keys = ("laps", "runs", "seed", "deterministic")
-        return {key: getattr(self, key) for key in keys}
-
-    def check(self) -> None:
-        """Check the policies.
-
-        Raises:
-            InputError: a file that cannot be read, or a policy for another vehicle.
-        """
-        for name, file in self.policies.items():
-            vehicle = Policy.load(file).vehicle
-            if vehicle != KINDS[name]:
-                raise InputError(
-                    f"{file}: a policy for the {vehicle} vehicle, expected {KINDS[name]} for "
-                    f"--{name.lower()}"
-                )
+def check_policies(files: Mapping[str, Path]) -> None:
+    """Raise an ``InputError`` for policies, by the names of ``KINDS``, of another vehicle."""
+    for name, file in files.items():
+        vehicle = Policy.load(file).vehicle
+        if vehicle != KINDS[name]:
+            expected = f"expected {KINDS[name]} for --{name.lower()}"
+            raise InputError(f"{file}: a policy for the {vehicle} vehicle, {expected}")
 
 
-def run_comparison(setting: Setting, parts: Sequence[str], folder: Path, report: Report) -> str:
+def compare(
+    files: Mapping[str, Path],
+    race: Config,
+    plant: PlantConfig,
+    protocol: Mapping[str, Any],
+    conditions: Conditions,
+    folder: Path,
+    report: Report,
+    parts: Sequence[str] = PARTS,
+    plants: int = 10,
+) -> str:
     """Fly the parts, write ``FILES`` to a folder, and return the tables as text.
 
     Args:
-        setting: policies, race, plant and conditions.
-        parts: some of ``PARTS``.
+        files: of the policies, by the names of ``KINDS``.
+        race: its vehicle is the model on board.
+        plant: the stand-in plant.
+        protocol: laps, runs, seed and deterministic, arguments of ``evaluate``.
+        conditions: of the part "plants".
         folder: to write to.
         report: called with the progress.
+        parts: some of ``PARTS``.
+        plants: drawn plants of the part "plants", which share the runs.
 
     Raises:
         InputError: policies that do not fit, or files that cannot be read.
     """
     texts: list[str] = []
-    origin = provenance(setting.plant, seed=setting.seed)
-    result: dict[str, Any] = {
-        **{key: getattr(setting, key) for key in ("runs", "laps", "deterministic")},
-        "provenance": origin | {"race": provenance(setting.race)["config"]},
-    }
+    origin = provenance(plant, seed=protocol["seed"]) | {"race": provenance(race)["config"]}
+    keys = ("runs", "laps", "deterministic")
+    result: dict[str, Any] = {key: protocol[key] for key in keys} | {"provenance": origin}
     if "table" in parts:
-        flown = fly_worlds(setting, report)
+        flown = fly_worlds(files, race, plant, protocol, report)
         report("drawing")
-        texts.append(table_text(setting, flown))
-        for name, file in setting.policies.items():
+        texts.append(table_text(race.vehicle, flown))
+        for name, file in files.items():
             simulated, on_plant = (flown[f"{name} {world}"] for world in WORLDS)
             result[name] = {
                 "policy": file_record(str(file)),
                 SIMULATED: simulated.laps.to_json(),
                 ON_PLANT: on_plant.laps.to_json(),
-                "commands at a limit": limit_fraction(setting, on_plant),
-                "commands at a limit, simulated": limit_fraction(setting, simulated),
+                "commands at a limit": limit_fraction(race.vehicle, on_plant),
+                "commands at a limit, simulated": limit_fraction(race.vehicle, simulated),
             }
-        groups = groups_of(flown)
-        write_report(groups, setting.race, folder / "report")
+        groups = {
+            label: [f.replace(name=str(run)) for run, f in enumerate(result.flights[:RECORDED], 1)]
+            for label, result in flown.items()
+        }
+        write_report(groups, race, folder / "report")
         result["rms error to the first-order response"] = {
             label: [
                 round(float(x), 4)
                 for x, unit in zip(signals.rms, signals.units, strict=True)
                 if unit == signals.units[0]  # of the rotors, or of the body rates
             ]
-            for label, (_, signals) in fastest_responses(groups, setting.race).items()
+            for label, (_, signals) in fastest_responses(groups, race).items()
         }
     if "plants" in parts:
-        conditions = setting.conditions.replace(deterministic=setting.deterministic)
-        options = setting.protocol | {"plant": setting.plant, "plants": setting.plants}
-        options |= {"conditions": conditions, "progress": report}
+        options = dict(protocol) | {"plant": plant, "plants": plants, "progress": report}
+        options["conditions"] = conditions.replace(deterministic=protocol["deterministic"])
         first, second = (
-            evaluate(Policy.load(file), setting.race, name=name, **options)
-            for name, file in setting.policies.items()
+            evaluate(Policy.load(file), race, name=name, **options) for name, file in files.items()
         )
         text, result["plants"] = plants_table(first.rows, second.rows)
         texts.append(text)
     text = "\n\n".join(texts)
     write_text(folder / "table.txt", text + "\n")
     write_json(folder / "compare.json", result)
-    write_text(folder / "config.yaml", to_yaml(setting.plant.model_dump()))
+    write_text(folder / "config.yaml", to_yaml(plant.model_dump()))
     return text
 
 
-def fly_worlds(setting: Setting, report: Report) -> dict[str, Evaluation]:
-    """Flights of both policies in the simulator and on the plant, by "POLICY WORLD"."""
+def fly_worlds(
+    files: Mapping[str, Path],
+    race: Config,
+    plant: PlantConfig,
+    protocol: Mapping[str, Any],
+    report: Report,
+) -> dict[str, Evaluation]:
+    """Flights of the policies in the simulator and on the plant, by "POLICY WORLD"."""
     flown = {}
-    for name, file in setting.policies.items():
-        policy, options = Policy.load(file), setting.protocol | {"name": str(file)}
-        for world in WORLDS:
-            label = f"{name} {world}"
-            report(label)
-            if world == SIMULATED:
-                race = race_config(setting.race, policy)
-                flown[label] = evaluate(policy, race, **options)
-            else:
-                flown[label] = evaluate(policy, setting.race, plant=setting.plant, **options)
+    for name, file in files.items():
+        policy = Policy.load(file)
+        for world, config, drone in (
+            (SIMULATED, race_config(race, policy), None),
+            (ON_PLANT, race, plant),
+        ):
+            report(f"{name} {world}")
+            result = evaluate(policy, config, name=str(file), plant=drone, **protocol)
+            flown[f"{name} {world}"] = result
     return flown
 
 
-def groups_of(flown: Mapping[str, Evaluation]) -> dict[str, list[Flight]]:
-    """Recorded flights for a report, as many of the simulator as of the plant."""
-    return {
-        label: [f.replace(name=str(run)) for run, f in enumerate(result.flights[:RECORDED], 1)]
-        for label, result in flown.items()
-    }
-
-
-def table_text(setting: Setting, flown: Mapping[str, Evaluation]) -> str:
+def table_text(vehicle: Vehicle, flown: Mapping[str, Evaluation]) -> str:
     """The lap table of ``fly_worlds``, E2E's lead, and how flights ended early.
 
     The published flights are not in it: they are of another drone, residual and noise.
@@ -169,18 +141,18 @@ def table_text(setting: Setting, flown: Mapping[str, Evaluation]) -> str:
         for label, result in flown.items()
     }
     notes = [lead(world, rows[f"E2E {world}"], rows[f"INDI {world}"]) for world in WORLDS]
-    shares = {world: limit_fraction(setting, flown[f"E2E {world}"]) for world in WORLDS}
+    shares = {world: limit_fraction(vehicle, flown[f"E2E {world}"]) for world in WORLDS}
     texts = ["-" if x is None else f"{100.0 * x:.0f}% {world}" for world, x in shares.items()]
     notes.append(f"E2E's rpm commands at a limit: {', '.join(texts)}")
     return "\n".join([lap_table(list(rows.values())).format(), *notes])
 
 
-def limit_fraction(setting: Setting, result: Evaluation) -> float | None:
+def limit_fraction(vehicle: Vehicle, result: Evaluation) -> float | None:
     """Fraction of rpm commands at a limit; None for a simulation without motors.
 
     The last sample of a simulated flight is its end, after the last command.
     """
-    constants, commands = setting.race.vehicle.with_model("motor").constants, []
+    constants, commands = vehicle.with_model("motor").constants, []
     for flight in result.flights:
         if MOTOR_COMMAND in flight.signals:
             commands.append(flight[MOTOR_COMMAND])
@@ -213,39 +185,28 @@ def plants_table(e2e: Sequence[Row], indi: Sequence[Row]) -> tuple[str, dict[str
     """Both contenders on drawn plants under every condition: text, and numbers as JSON takes them.
 
     Total times are of the flights that both finish: the same plants, batteries and gusts. Intervals
-    of 95% are over the plants.
+    of 95% are over the plants. The other numbers are of all flights.
     """
     lines, notes, numbers = [], [], dict[str, Any]({name: {} for name in KINDS})
     for pair in zip(e2e, indi, strict=True):
         cells, label = [], pair[0].condition
         for name, row, both in zip(KINDS, pair, common(*pair), strict=True):
             cells += [interval_text(both.plant_totals), f"{row.finished}/{row.runs}"]
-            numbers[name][label] = _plant_numbers(row, both)
+            totals = [*interval(both.plant_totals), *both.plant_totals.tolist()]
+            mean, width, *each = (x if np.isfinite(x) else None for x in totals)
+            of_row = {"finished": row.finished, "runs": row.runs, "crashes": row.ends}
+            of_both = {"mean": mean, "interval": width, "each plant": each}
+            numbers[name][label] = of_both | {"both finish": both.finished} | of_row
             if row.ends:
                 ends = ", ".join(f"{reason} {count}" for reason, count in row.ends.items())
                 notes.append(f"{name}, {label}, early ends: {ends}")
         lines.append([label, *cells])
         if both.finished < row.runs:
-            plants = int(np.isfinite(both.plant_totals).sum())
-            of_both = f"both finish {both.finished} of {row.runs} flights"
-            notes.append(f"{label}: {of_both}, on {plants} of {row.plants} plants")
+            count = int(np.isfinite(both.plant_totals).sum())
+            text = f"both finish {both.finished} of {row.runs} flights"
+            notes.append(f"{label}: {text}, on {count} of {row.plants} plants")
     notes.append(lead(e2e[0].condition, e2e[0], indi[0]))
     title = f"{e2e[0].plants} drawn plants: total time of the flights that both finish, s, with 95%"
     title += "\nintervals over the plants; finished: of all flights"
     table = Table(["", "E2E", "finished", "INDI", "finished"], lines, notes)
     return f"{title}\n{table.format()}", numbers
-
-
-def _plant_numbers(row: Row, both: Row) -> dict[str, Any]:
-    """Total times of the flights that both finish, the other numbers of all."""
-    totals = [*interval(both.plant_totals), *both.plant_totals.tolist()]
-    mean, width, *each = (x if np.isfinite(x) else None for x in totals)
-    return {
-        "mean": mean,
-        "interval": width,
-        "each plant": each,
-        "both finish": both.finished,
-        "finished": row.finished,
-        "runs": row.runs,
-        "crashes": row.ends,
-    }

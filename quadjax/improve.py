@@ -17,6 +17,7 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, write_json, write_text
 from quadjax.core.markdown import table
+from quadjax.evaluation.evaluate import evaluate
 from quadjax.evaluation.plants import write_logs
 from quadjax.fitting.config import FitConfig
 from quadjax.fitting.flight_log import read_log
@@ -24,8 +25,7 @@ from quadjax.fitting.report import PATTERNS as FIT_FILES
 from quadjax.flights.files import save
 from quadjax.flights.flight import Flight
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.flight import Plan
-from quadjax.plant.flights import fly_plan, plan_race
+from quadjax.plant.flights import plan_race
 from quadjax.policy.file import Policy
 from quadjax.race.rules import HIT_A_GATE
 from quadjax.refit import Model, changes, check_speeds, margin_of, refit, states_of_logs
@@ -259,32 +259,32 @@ def _round(setting: Setting, number: int, folder: Path, before: Round, report: R
     return after
 
 
-def _plan(
-    setting: Setting, race: Config, policy: Path, rate: float, runs: int, logged: int
-) -> Plan:
-    assert setting.plant is not None
-    plant, network = setting.plant.replace(control_rate=rate), Policy.load(policy)
-    return plan_race(
-        race, plant, network, str(policy), lap_count=setting.laps, runs=runs, recorded=logged
-    )
-
-
 def fly_and_log(
     setting: Setting, state: Round, name: str, folder: Path, seed: int, report: Report
 ) -> Flown:
     """Fly a policy's mean action on the plant and write the logs ``folder/NAME_RUN.csv``."""
     assert setting.plant is not None
-    race, runs = state.model.race(setting.race), setting.flights
-    plan = _plan(setting, race, state.policy, setting.plant.sample_rate, runs, runs)
+    race, network = state.model.race(setting.race), Policy.load(state.policy)
+    plant = setting.plant.replace(control_rate=setting.plant.sample_rate)
+    runs, laps = setting.flights, setting.laps
+    options = (race, plant, network, str(state.policy))
+    plan = plan_race(*options, lap_count=laps, runs=runs, recorded=runs)
     written = write_logs({name: plan}, folder, seed, report)
     return _results(*zip(*((log.seconds, log.total, log.crash) for log in written), strict=True))
 
 
 def fly_checks(setting: Setting, policy: Path) -> Flown:
     """Results of ``setting.check`` flights of a policy, without logs."""
-    assert setting.plant is not None
-    plan = _plan(setting, setting.race, policy, setting.plant.control_rate, setting.check, 1)
-    laps = fly_plan(plan, CHECK_SEED + setting.seed).laps
+    laps = evaluate(
+        Policy.load(policy),
+        setting.race,
+        plant=setting.plant,
+        laps=setting.laps,
+        runs=setting.check,
+        seed=CHECK_SEED + setting.seed,
+        deterministic=True,
+        name=str(policy),
+    ).laps
     return _results(laps.seconds.tolist(), laps.totals.tolist(), laps.crashes)
 
 

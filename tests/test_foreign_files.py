@@ -9,7 +9,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json
 from quadjax.core.resources import PRETRAINED
-from quadjax.evaluation import curves, seeds
+from quadjax.evaluation import curves, training
 from quadjax.export import folder as exported
 from quadjax.export.conversion import Options, sha256
 from quadjax.fitting.config import LogsConfig, load_fit_config
@@ -104,7 +104,7 @@ def test_a_run_is_resumed_with_its_own_code_alone(foreign):
 def test_python_loads_the_code_of_a_run_only_for_a_named_config(foreign):
     for load in (
         lambda: Run.load(foreign),
-        lambda: seeds.evaluate_seed(foreign, 1),
+        lambda: training.evaluate_seed(foreign, 1),
         lambda: curves.learning_figure({"rf": [foreign]}),
     ):
         with pytest.raises(InputError, match=r"name the config of its race \(config=CONFIG\)"):

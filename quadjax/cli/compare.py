@@ -70,10 +70,11 @@ def compare(
     elif runs % plants:
         raise InputError(f"--runs is {runs}, allowed: multiples of --plants ({plants})")
     plant, listed = load_plant_config(config, overrides), read_conditions("plants", conditions)
-    policies, numbers = {"E2E": e2e, "INDI": indi}, (laps, runs, seed, plants, not sampled)
-    setting = comparison.Setting(policies, load_config(race), plant, listed, *numbers)
-    setting.check()
+    policies, flown = {"E2E": e2e, "INDI": indi}, load_config(race)
+    comparison.check_policies(policies)
+    protocol = {"laps": laps, "runs": runs, "seed": seed, "deterministic": not sampled}
     with results(folder, "comparison", comparison.FILES, overwrite) as new, steps() as report:
-        text = comparison.run_comparison(setting, chosen, new, report)
+        options = (flown, plant, protocol, listed, new, report, chosen, plants)
+        text = comparison.compare(policies, *options)
     print(text)
     wrote(f"{folder}/ in {time.monotonic() - started:.0f} s")

@@ -1,7 +1,7 @@
 """``quadjax evaluate``."""
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -21,13 +21,7 @@ if TYPE_CHECKING:
     from quadjax.policy.file import Policy
     from quadjax.race.laps import Actor
 
-FIGURES = {  # by option: the method of an evaluation
-    "figure": "plot",
-    "figure_3d": "plot_3d",
-    "signals": "plot_signals",
-    "attitude": "plot_attitude",
-}
-OF_LAPS = ("fixed_point", "range_", "offsets", "states", *FIGURES, "animation")
+OF_LAPS = ("fixed_point", "range_", "offsets", "states", "figures", "animation")
 RECORDED = Group("Recorded flights, in place of policies", sort_key=2)
 States = Annotated[
     Path | None,
@@ -74,10 +68,7 @@ def evaluate(
     overwrite: Annotated[opt.Overwrite, Parameter(group=RECORDED)] = False,
     json: opt.AnyFile = None,
     states: States = None,
-    figure: opt.Picture = None,
-    figure_3d: opt.Picture = None,
-    signals: opt.Picture = None,
-    attitude: opt.Picture = None,
+    figures: Annotated[opt.Folder | None, Parameter(group=opt.FILES)] = None,
     animation: Animation = None,
 ) -> None:
     """Time the laps of policies, next to the published ones of the same race, if any.
@@ -105,7 +96,7 @@ def evaluate(
     FILE.npz, or flight logs (.csv, a glob pattern for several). DIR gets tables and
     figures as text, LaTeX, PDF, SVG and PNG. CONFIG is the race that was flown.
 
-    Example: quadjax evaluate e2e --policy e2e_nominal --laps 6 --figure lap.png
+    Example: quadjax evaluate e2e --policy e2e_nominal --laps 6 --figures lap
 
     Args:
         policy: Policy file, folder of a run, or name of a shipped policy; may be repeated.
@@ -128,16 +119,13 @@ def evaluate(
         report: Folder of the tables and figures.
         json: Write the laps, or the numbers of the conditions.
         states: Write all trajectories.
-        figure: Draw the flight from two sides.
-        figure_3d: Draw the flight in perspective.
-        signals: Draw actuators and rates over time.
-        attitude: Draw height and attitude over time.
+        figures: Draw the flight: trajectory.png, perspective.png and signals.png.
         animation: Animate the flight.
     """
     with loading():
         from quadjax.evaluation.conditions import read_conditions
         from quadjax.evaluation.evaluate import evaluate as fly
-        from quadjax.evaluation.evaluate import joined, tabulate
+        from quadjax.evaluation.evaluate import joined
         from quadjax.policy.race import policy_path
 
     if flights is not None:
@@ -162,8 +150,6 @@ def evaluate(
     entries = [_entry(policy_path(file), config, overrides) for file in files]
     common: dict[str, Any] = {"laps": laps, "gates": gates, "seconds": seconds, "runs": runs}
     common |= {"start": start, "seed": seed, "plant": plant, "plants": plants, "body_radius": body}
-    paths = (states, figure, figure_3d, signals, attitude, animation)
-    drawings = dict(zip(("states", *FIGURES, "animation"), paths, strict=True))
     with steps() as show:
         show("compiling and simulating")
         if listed is not None:
@@ -178,15 +164,14 @@ def evaluate(
                 common |= {"actor": _fixed_point(*entry, range_ or ())}
             modes = (True,) if deterministic or fixed_point else (False, True)
             flights_of = [fly(*entry, deterministic=mean, **common) for mean in modes]
-            first = flights_of[0]
-            labels = ["fixed point, mean"] if fixed_point else [x.label() for x in flights_of]
-            text = tabulate(dict(zip(labels, flights_of, strict=True)), format or "text")
+            first, text = flights_of[0], joined(flights_of).table(format)
+            text = text.replace("deterministic", "fixed point, mean") if fixed_point else text
             text, record = text + (_offsets(first) if offsets else ""), first.to_json()
-            _draw(first, drawings, show)
+            _write(first, states, figures, animation, show)
         if json is not None:
             write_json(json, record)
     print(text)
-    wrote(json, *paths)
+    wrote(json, states, f"{figures}/" if figures else None, animation)
 
 
 def _entry(
@@ -234,22 +219,24 @@ def _offsets(evaluation: "Evaluation") -> str:
     return f"\ndistance from the gates' centers: {mean}"
 
 
-def _draw(
-    evaluation: "Evaluation", files: Mapping[str, Path | None], report: Callable[[str], None]
+def _write(
+    evaluation: "Evaluation",
+    states: Path | None,
+    figures: Path | None,
+    animation: Path | None,
+    report: Callable[[str], None],
 ) -> None:
-    """Write the states, the figures and the animation, by their options."""
+    """Write the states, the figures and the animation that are asked for."""
     from quadjax.core.plotting import save_figure
 
-    frames = itertools.count(1)
-    for option, path in files.items():
-        if path is None:
-            continue
-        if option in FIGURES:
-            save_figure(getattr(evaluation, FIGURES[option])(), path)
-        elif option == "states":
-            evaluation.save_states(path)
-        else:
-            evaluation.animate(path, lambda: report(f"animation, frame {next(frames)}"))
+    if states is not None:
+        evaluation.save_states(states)
+    if figures is not None:
+        for name, figure in evaluation.figures().items():
+            save_figure(figure, figures / f"{name}.png")
+    if animation is not None:
+        frames = itertools.count(1)
+        evaluation.animate(animation, lambda: report(f"animation, frame {next(frames)}"))
 
 
 def _report(

@@ -53,8 +53,7 @@ def train(
     """
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.evaluation.seeds import train_seeds
-        from quadjax.evaluation.training import write_evaluation
+        from quadjax.evaluation.training import train_seeds, write_evaluation
         from quadjax.learners.loop import NonFiniteError
         from quadjax.training import run
         from quadjax.training.fine_tuning import check_policy, fine_tuning

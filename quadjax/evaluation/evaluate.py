@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,11 @@ from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.provenance import provenance
-from quadjax.evaluation import charts, figures
+from quadjax.evaluation import figures
 from quadjax.evaluation.conditions import Condition, Conditions, Start, read_conditions
 from quadjax.evaluation.plants import fly_plants
-from quadjax.evaluation.published import LAPS, published_row
 from quadjax.evaluation.rows import Row
-from quadjax.evaluation.simulate import simulate, unseen_tracks
+from quadjax.evaluation.simulate import simulate
 from quadjax.evaluation.table import Format, condition_table, counted, lap_table, policy_table
 from quadjax.flights.files import lap_times, save
 from quadjax.flights.flight import Flight, distinct, fastest
@@ -31,7 +30,6 @@ from quadjax.policy.file import Policy
 from quadjax.race.laps import Actor, Laps
 
 Record = Callable[[], list[Flight]]
-ALIKE = (LAPS, "hover", False)  # protocol of the published flights
 
 
 def evaluate(
@@ -71,7 +69,8 @@ def evaluate(
             ("before_gate").
         seed: of the noise, the disturbances and the starts.
         conditions: a list of conditions, its file, or a name in ``configs/conditions``.
-        plant: config of the stand-in plant on which the policy flies; None: in the simulator.
+        plant: config of the stand-in plant on which the policy flies; None: in the simulator. Of
+            several conditions those that do not start from hover are left out.
         plants: number of drawn plants, which share the runs. Each has its own noise.
         tracks: fly each run on another random track, with the seeds after those of
             ``randomization.tracks``.
@@ -100,31 +99,31 @@ def evaluate(
         plant = load_plant_config(plant)
     if plant is not None and actor is not pilot.fly:
         raise InputError("actor is not None, allowed: without a plant")
-    rows, records, label = [], [], _label(name)
-    for condition, race in list(protocol.of(config)):
+    flying, left_out = list(protocol.of(config)), []
+    if plant is not None and len(flying) > 1:
+        left_out = [c.label for c, _ in flying if protocol.under(c).start != "hover"]
+    rows, records = [], []
+    for condition, race in flying:
+        if condition.label in left_out:
+            continue
         progress(name if conditions is None else f"{name}: {condition.label}")
-        flown, limit = protocol.under(condition), race.vehicle.fitted_speed
+        flown = protocol.under(condition)
         if plant is None:
-            configs = (config, race)
-            times, speeds, record = simulate(network, name, configs, condition, flown, actor)
-            row = Row(label, times, condition.label, 1, speeds, limit)
-            if flown.tracks:
-                unseen = unseen_tracks(config, flown.runs or 1)
-                seeds = f"{unseen.seed} to {unseen.seed + unseen.count - 1}"
-                row = dataclasses.replace(row, condition=seeds)
-            elif (
-                condition.damage is None and (flown.laps, flown.start, flown.deterministic) == ALIKE
-            ):
-                row = dataclasses.replace(row, published=published_row(race))
-        elif condition.damage is not None:
-            raise InputError(f"condition {condition.label}: has damage, allowed: without a plant")
-        else:
+            row, record = simulate(network, name, (config, race), condition, flown, actor)
+            row = dataclasses.replace(row, policy=_label(name))
+        elif condition.damage is None:
             times, record = fly_plants(network, name, race, condition.on_plant(plant), flown)
-            row = Row(label, times, condition.label, flown.plants)
+            row = Row(_label(name), times, condition.label, flown.plants)
+        else:
+            raise InputError(f"condition {condition.label}: has damage, allowed: without a plant")
+        if conditions is None and not flown.tracks:
+            how = "deterministic" if flown.deterministic else "sampled"
+            row = dataclasses.replace(row, condition=f"{how}, {counted(row.runs, 'run')}")
         rows.append(row)
         records.append(record)
     origin = provenance(config, name, protocol.seed)
-    return Evaluation(tuple(rows), protocol, origin, tuple(records), conditions is not None)
+    several = conditions is not None
+    return Evaluation(tuple(rows), protocol, origin, tuple(records), several, tuple(left_out))
 
 
 def _label(name: str) -> str:
@@ -147,6 +146,7 @@ class Evaluation:
         provenance: versions, config, policy, seed, date and device.
         records: of each row, a function that returns the recorded flights.
         by_condition: whether a list of conditions was flown.
+        left_out: labels of conditions that the plant does not have.
     """
 
     rows: tuple[Row, ...]
@@ -154,6 +154,7 @@ class Evaluation:
     provenance: dict[str, Any]
     records: tuple[Record, ...] = dataclasses.field(repr=False)
     by_condition: bool = False
+    left_out: tuple[str, ...] = ()
 
     def __getitem__(self, label: str) -> Row:
         """The first row of a condition, by its label."""
@@ -224,40 +225,38 @@ class Evaluation:
             distances.append(np.abs(place[:, 1:]).max(axis=1))
         return np.concatenate(distances)
 
-    def label(self) -> str:
-        """How the actions were chosen, and the number of runs."""
-        how = "deterministic" if self.protocol.deterministic else "sampled"
-        return f"{how}, {counted(self.row.runs, 'run')}"
-
     def table(self, format: Format | None = None) -> str:
         """The rows as a table, by default as Markdown with conditions and as text without.
 
         Without conditions it is the lap table, with the published row of the same race and
         protocol, if any.
         """
-        if self.by_condition:
-            columns, title = self.protocol.columns, self.protocol.title
-            table = condition_table(self.rows, title, columns)
-            if self.protocol.across:
-                table = policy_table(self.rows, columns[0])
-            return table.format(format or "markdown")
-        return tabulate({self.label(): self}, format or "text")
+        columns = self.protocol.columns
+        if not self.by_condition and self.protocol.seconds is None:
+            table = lap_table(self.rows)
+        elif not self.by_condition:
+            table = condition_table(self.rows, "", ("crashed", "ended"))
+        elif self.protocol.across:
+            table = policy_table(self.rows, columns[0])
+        else:
+            table = condition_table(self.rows, self.protocol.title, columns)
+        if self.left_out:
+            note = f"Not flown on the plant, which has no such start: {'; '.join(self.left_out)}."
+            table = dataclasses.replace(table, notes=[*table.notes, note])
+        return table.format(format or ("markdown" if self.by_condition else "text"))
 
     def plot(self) -> Figure:
         """The best run seen from above and from the side, colored by speed."""
-        return figures.trajectory_figure([self.best], self.best.gates, flight_title(self.best))
+        return self.figures()["trajectory"]
 
-    def plot_signals(self) -> Figure:
-        """Actuators and body rates of the best run over time."""
-        return charts.signals_figure(self.best, flight_title(self.best))
-
-    def plot_3d(self) -> Figure:
-        """The best run in perspective, colored by speed."""
-        return figures.space_figure([self.best], self.best.gates, flight_title(self.best))
-
-    def plot_attitude(self) -> Figure:
-        """Height, speed and Euler angles of the best run over time."""
-        return charts.attitude_figure(self.best, flight_title(self.best))
+    def figures(self) -> dict[str, Figure]:
+        """Figures of the best run by name: ``trajectory``, ``perspective`` and ``signals``."""
+        best, title = self.best, flight_title(self.best)
+        return {
+            "trajectory": figures.trajectory_figure([best], best.gates, title),
+            "perspective": figures.space_figure([best], best.gates, title),
+            "signals": figures.signals_figure(best, title),
+        }
 
     def show(self, path: Path | str | None = None) -> None:
         """Show the runs in 3D: in a notebook, or as a page in the browser.
@@ -268,7 +267,7 @@ class Evaluation:
         from quadjax.view.data import page_record
         from quadjax.view.page import show
 
-        show(page_record(self.label(), self.named_flights("run")), path)
+        show(page_record(self.row.condition, self.named_flights("run")), path)
 
     def animate(self, path: Path | str, advance: Callable[[], object] = lambda: None) -> None:
         """Write an animation (``.gif``) of all runs in real time.
@@ -306,29 +305,17 @@ def flight_title(flight: Flight) -> str:
 
 
 def joined(evaluations: Sequence[Evaluation]) -> Evaluation:
-    """The rows of several policies under the same conditions.
+    """The rows of several evaluations of one race: of policies, or of one with other actions.
 
     Policies of one label have their files as labels.
     """
-    labels = Counter(result.row.policy for result in evaluations)
-    rows = []
-    for result in evaluations:
-        row, file = result.row, result.provenance["policy"]["file"]
-        policy = row.policy if labels[row.policy] == 1 else file
-        rows += [dataclasses.replace(row, policy=policy) for row in result.rows]
+    files = {result.provenance["policy"]["file"]: result.row.policy for result in evaluations}
+    labels = Counter(files.values())
+    rows = [
+        row if labels[row.policy] == 1 else dataclasses.replace(row, policy=file)
+        for result in evaluations
+        for file in [result.provenance["policy"]["file"]]
+        for row in result.rows
+    ]
     records = tuple(record for result in evaluations for record in result.records)
     return dataclasses.replace(evaluations[0], rows=tuple(rows), records=records)
-
-
-def tabulate(evaluations: Mapping[str, Evaluation], format: Format = "text") -> str:
-    """Evaluations of one race by label as one lap table, with how runs ended early."""
-    results = evaluations.values()
-    sampled = {result.row.published for result in results if not result.protocol.deterministic}
-    rows = []
-    for label, result in evaluations.items():
-        published = result.row.published if len(sampled) == 1 else None
-        row = dataclasses.replace(result.row, policy="", condition=label, published=published)
-        rows.append(row)
-    timed = any(result.protocol.seconds is not None for result in results)
-    table = condition_table(rows, "", ("crashed", "ended")) if timed else lap_table(rows)
-    return table.format(format)

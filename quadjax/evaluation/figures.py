@@ -1,4 +1,7 @@
-"""Matplotlib figures of flights in space, with the gates to size; they need not be closed."""
+"""Matplotlib figures of flights in space, with the gates to size, and over time.
+
+They need not be closed.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,7 +17,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from quadjax.core.errors import InputError
 from quadjax.core.plotting import INK, MUTED, PAPER, SERIES, SPEED_COLORS, head, new_figure, tidy
 from quadjax.evaluation.table import counted
-from quadjax.flights.flight import Flight, fastest
+from quadjax.flights.flight import ANGLES, RATES, Flight, fastest
 from quadjax.race.track import GateSection
 
 Groups = Mapping[str, Sequence[Flight]]
@@ -24,6 +27,8 @@ ACROSS = 4  # groups next to each other
 MANY = 5  # flights of a group that are all drawn; of more the fastest one
 DARKEST, LIGHTEST = 0.0, 0.78  # of the color map: lines that are lighter do not show on white
 SAME_PLACE = 0.3  # m, between gates that share a label
+COMMANDED = "commanded"
+ACTUATORS = {"rpm": "propeller speed (rpm)", "m/s^2": "specific thrust (m/s²)"}  # labels by unit
 ARROW = 0.055  # length of the arrow of a gate, of the longest side of the figure
 
 
@@ -128,6 +133,37 @@ def space_figure(
     return figure
 
 
+def signals_figure(flight: Flight, title: str = "") -> Figure:
+    """Height, speed, attitude, body rates and actuators of a flight over time, with its laps."""
+    actuators = flight.signals["actuators"]
+    labels = actuators.labels or [str(i + 1) for i in range(actuators.values.shape[1])]
+    outputs = dict(zip(labels, actuators.values.T, strict=True))
+    if len(outputs) == 1:
+        outputs[COMMANDED] = flight["command"][:, 3]
+    angles = np.degrees(np.unwrap(flight["attitude"], axis=0)).T
+    panels: dict[str, dict[str, np.ndarray]] = {
+        "height (m)": {"": -flight["position"][:, 2]},
+        "speed (m/s)": {"": flight.speed},
+        "attitude (deg)": dict(zip(ANGLES, angles, strict=True)),
+        "body rate (rad/s)": dict(zip(RATES, flight["rates"].T, strict=True)),
+        ACTUATORS.get(str(actuators.unit), f"actuators ({actuators.unit})"): outputs,
+    }
+    figure = new_figure(9.0, 10.0)
+    grid = figure.subplots(len(panels), 1, sharex=True)
+    for axes, (label, lines) in zip(grid, panels.items(), strict=True):
+        tidy(axes)
+        axes.margins(x=0.01)
+        for (name, values), color in zip(lines.items(), (*SERIES, MUTED), strict=False):
+            behind = {"color": MUTED, "lw": 0.8, "zorder": 1} if name == COMMANDED else {}
+            axes.plot(flight.time, values, label=name, **({"color": color, "lw": 1.2} | behind))
+        for end in flight.lap_ends:
+            axes.axvline(end, color=MUTED, lw=0.9, ls="--", zorder=0)
+        axes.set_ylabel(label, color=INK)
+        head(axes, title if axes is grid[0] else "")
+    grid[-1].set_xlabel("time (s); dashed: a lap's end", color=INK)
+    return figure
+
+
 def speed_range(flights: Sequence[Flight]) -> tuple[float, float]:
     """Limits of the color scale, m/s; the take-off may be below."""
     speeds = np.concatenate([flight.speed for flight in flights])
@@ -192,11 +228,10 @@ def draw_track(
     for gate in gates:
         x, _, z = gate_outline(gate).T
         side.plot(x, -z, color=INK, linewidth=1.8, zorder=2, alpha=0.6)
-    tops = np.array([(g.position[0], -gate_outline(g)[:, 2].min()) for g in gates])
-    for group in _same_place(tops) if numbers else ():
-        style: dict[str, Any] = {"xytext": (0, 7), "textcoords": "offset points", "ha": "center"}
-        style |= {"va": "center", "zorder": 6, "color": MUTED, "fontsize": 8}
-        side.annotate(_listed(index + 1 for index in group), tuple(tops[group[0]]), **style)
+    if numbers:
+        tops = np.array([(g.position[0], -gate_outline(g)[:, 2].min()) for g in gates])
+        names = [str(index + 1) for index in range(len(gates))]
+        _label(side, tops, names, 7, color=MUTED, fontsize=8)
     side.axhline(0.0, color=MUTED, linewidth=1.5)
     above.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal")
     side.set(ylim=(low[2], high[2]), aspect="equal")
@@ -223,33 +258,27 @@ def draw_gates(
     places = center + np.where(outwards, far, -far)[:, None] * right
     heights = np.array([-gate.position[2] for gate in gates])
     differ = float(np.ptp(heights)) > 0.05
-    style: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6}
-    style["textcoords"] = "offset points"
-    bold: dict[str, Any] = {"color": INK, "fontsize": 11, "fontweight": "bold"}
-    for group in _same_place(places):
-        place = tuple(places[group[0]])
-        label = _listed(index + 1 for index in group)
-        above.annotate(label, place, xytext=(0, 5 if differ else 0), **bold, **style)
-        if differ:
-            label = _listed(f"{heights[index]:.1f}" for index in group)
-            above.annotate(f"{label} m", place, xytext=(0, -7), color=MUTED, fontsize=8, **style)
+    names = [str(index + 1) for index in range(len(gates))]
+    bold = {"color": INK, "fontsize": 11, "fontweight": "bold"}
+    _label(above, places, names, 5 if differ else 0, **bold)
+    if differ:
+        meters = [f"{height:.1f}" for height in heights]
+        _label(above, places, meters, -7, " m", color=MUTED, fontsize=8)
 
 
-def _listed(values: Any) -> str:
-    return ", ".join(map(str, values))
-
-
-def _same_place(points: np.ndarray) -> list[list[int]]:
-    """Indices of points (n, 2) in groups, each near the group's first."""
-    groups: list[list[int]] = []
-    for index, point in enumerate(points):
-        near = (g for g in groups if np.linalg.norm(points[g[0]] - point) <= SAME_PLACE)
-        group = next(near, None)
-        if group is None:
-            groups.append([index])
-        else:
-            group.append(index)
-    return groups
+def _label(
+    axes: Axes, places: np.ndarray, texts: Sequence[str], up: float, unit: str = "", **style: Any
+) -> None:
+    """Write texts at places (n, 2), ``up`` points higher; those near each other share a label."""
+    groups: dict[int, list[str]] = {}
+    for point, text in zip(places, texts, strict=True):
+        near = np.linalg.norm(places - point, axis=1) <= SAME_PLACE
+        groups.setdefault(int(near.argmax()), []).append(text)
+    for first, group in groups.items():
+        label, place = f"{', '.join(group)}{unit}", tuple(places[first])
+        middle: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6}
+        points = {"xytext": (0, up), "textcoords": "offset points"}
+        axes.annotate(label, place, **points, **middle, **style)
 
 
 def gate_outline(gate: GateSection) -> np.ndarray:

@@ -1,20 +1,22 @@
-"""Tables and figures of groups of flights, as a paper has them, in a folder."""
+"""A report of groups of flights, as a paper has it: tables, boxes, gaps and command errors."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadjax.config.schema import Config
+from quadjax.config.schema import Config, Vehicle
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
-from quadjax.core.plotting import save_figure
+from quadjax.core.plotting import INK, MUTED, PAPER, new_figure, save_figure, tidy
 from quadjax.core.provenance import provenance
-from quadjax.evaluation.charts import Response, box_figure, error_figure, gap_figure, response
-from quadjax.evaluation.figures import Groups, trajectory_figure
-from quadjax.evaluation.table import Format, flights_table
+from quadjax.evaluation.figures import MANY, Groups, colors_of, trajectory_figure
+from quadjax.evaluation.table import Format, counted, flights_table
+from quadjax.fitting.signals import first_order
 from quadjax.flights.flight import Flight, fastest
 
 FORMATS = ("pdf", "svg", "png")
@@ -23,6 +25,8 @@ FILES = (
     *("boxes.*", "gaps.*", "trajectories.*", "errors_*.*"),
     *("architectures.*", "toolchain.*"),  # of earlier versions
 )
+STYLES = ("-", "--", "-.", ":")
+MODELS = {"rpm": "motor", "rad/s": "rate"}  # vehicle model by the unit of the commands
 
 
 def write_report(groups: Groups, config: Config, folder: Path) -> str:
@@ -114,8 +118,192 @@ def report_figures(groups: Groups, config: Config) -> Iterator[tuple[str, Figure
         yield f"errors_{labels.index(label) + 1}", report.errors(label)
 
 
+def box_figure(groups: Groups) -> Figure:
+    """Box plots of lap 1, of the laps after it and of the total, a box for each group.
+
+    Boxes from the first to the third quartile with the median, whiskers to the last flight within
+    1.5 times their range, and a dot for each flight. Flights that did not finish count in the laps
+    that they completed.
+    """
+    colors, names = colors_of(groups), list(groups)
+    count = max(len(f.lap_times) for flights in groups.values() for f in flights)
+    later = f"laps 2 to {count} (s)" if count > 2 else "lap 2 (s)"
+    columns: dict[str, list[Sequence[float]]] = {
+        "lap 1 (s)": [[t for f in v for t in f.lap_times[:1]] for v in groups.values()],
+        later: [[t for f in v for t in f.lap_times[1:]] for v in groups.values()],
+        f"total of {counted(count, 'lap')} (s)": [
+            [f.total for f in v if len(f.lap_times) == count and np.isfinite(f.total)]
+            for v in groups.values()
+        ],
+    }
+    figure = new_figure(9.6, 1.1 + 0.5 * len(groups))
+    panels = figure.subplots(1, 3, sharey=True)
+    for axes, (label, times) in zip(panels, columns.items(), strict=True):
+        tidy(axes)
+        axes.grid(False, axis="y")
+        style: dict[str, Any] = {"widths": 0.5, "showfliers": False, "patch_artist": True}
+        style |= {"orientation": "horizontal", "manage_ticks": False}
+        boxes = axes.boxplot(times, **style)
+        for index, (name, values) in enumerate(zip(names, times, strict=True)):
+            boxes["boxes"][index].set(facecolor=PAPER, edgecolor=colors[name])
+            boxes["medians"][index].set(color=colors[name], lw=2.2)
+            jitter = 0.12 * np.sin(2.4 * np.arange(len(values)))  # equal times do not cover
+            axes.plot(values, index + 1 + jitter, "o", ms=3, color=colors[name], alpha=0.6)
+        axes.set_xlabel(label, color=INK)
+        axes.margins(x=0.08)
+    panels[0].set_yticks(range(1, len(groups) + 1), names)
+    panels[0].set_ylim(len(groups) + 0.6, 0.4)
+    return figure
+
+
+def gap_figure(groups: Groups, gates: int) -> Figure:
+    """Time behind the flight that is first at each gate, of all flights.
+
+    First among the flights that pass the most gates: one that crashed may have been ahead.
+
+    Args:
+        groups: of flights.
+        gates: of the track.
+    """
+    colors = colors_of(groups)
+    figure = new_figure(9.6, 4.2)
+    axes = figure.add_subplot()
+    tidy(axes)
+    every = [flight.passages[:, 0] for flights in groups.values() for flight in flights]
+    count = max(map(len, every))
+    leader = np.min([times for times in every if len(times) == count], axis=0)
+    for index, (group, flights) in enumerate(groups.items()):
+        few = len(flights) <= MANY
+        style: dict[str, Any] = {"color": colors[group], "lw": 1.8 if few else 0.8}
+        style |= {"alpha": 1.0 if few else 0.5}
+        line = STYLES[index % len(STYLES)] if len(flights) == 1 else "-"
+        for number, flight in enumerate(flights):
+            behind = flight.passages[:, 0] - leader[: len(flight.passages)]
+            label = f"{group} ({counted(len(flights), 'flight')})" if number == 0 else None
+            axes.plot(np.arange(len(behind)) + 1, behind, line, label=label, **style)
+            if flight.crash and len(behind):
+                axes.plot(len(behind), behind[-1], "x", color=colors[group], ms=8, mew=2)
+    for lap in range(gates, count + 1, gates):
+        axes.axvline(lap, color=MUTED, lw=0.9, ls="--", zorder=0)
+    axes.set_xlim(1, count + 0.15)
+    ahead = any(np.any(times < leader[: len(times)]) for times in every)
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]) if ahead else 0.0)
+    axes.set_xlabel("gate; dashed: the end of a lap", color=INK)
+    axes.set_ylabel("behind the first at each gate (s)", color=INK)
+    figure.legend(loc="outside upper left", ncols=4, frameon=False, labelcolor=INK, fontsize=9)
+    return figure
+
+
+@dataclasses.dataclass(frozen=True)
+class Response:
+    """A flight's commanded signals, their limits and the model's response to the commands."""
+
+    actual: np.ndarray  # (n, k)
+    command: np.ndarray  # (n, k)
+    model: np.ndarray  # (n, k) first-order response to the commands
+    low: np.ndarray  # (k,)
+    high: np.ndarray  # (k,)
+    names: Sequence[str]
+    units: Sequence[str]  # of each
+
+    @property
+    def error(self) -> np.ndarray:
+        """The difference from the model's response, (n, k)."""
+        return self.actual - self.model
+
+    @property
+    def rms(self) -> np.ndarray:
+        """Root mean square of the error (k,)."""
+        return np.sqrt((self.error**2).mean(axis=0))
+
+
+def response(flight: Flight, vehicle: Vehicle) -> Response | None:
+    """Propeller speeds, or body rates and specific thrust, with their commands.
+
+    None for a flight without such commands, or whose model the vehicle has no constants of.
+    """
+    commands = flight.signals.get("command")
+    kind = "" if commands is None else MODELS.get(str(commands.by_unit()[0].unit), "")
+    if kind not in (vehicle.model, *vehicle.models) or "actuators" not in flight.signals:
+        return None
+    constants = vehicle.with_model(kind).constants
+    command, step = flight["command"], float(np.median(np.diff(flight.time)))
+    if kind == "motor":
+        parts, lags = [flight.signals["actuators"]], [constants["tau"]]
+        low, high = (np.full(4, constants[f"rpm_{end}"]) for end in ("min", "max"))
+    else:
+        parts = [flight.signals["rates"], flight.signals["actuators"]]
+        lags = [constants["tau_rate"], constants["tau_thrust"]]
+        rates = np.array([constants[f"{axis}_max"] for axis in "pqr"])
+        low = np.append(-rates, constants["thrust_min"])
+        high = np.append(rates, constants["thrust_max"])
+        if parts[1].values.shape[1] != 1:  # rotor speeds of a log, and no thrust
+            parts, low, high, command = parts[:1], low[:3], high[:3], command[:, :3]
+    actual = np.concatenate([part.values for part in parts], axis=1)
+    names = [label for part in parts for label in part.labels]
+    units = [str(part.unit) for part in parts for _ in range(part.values.shape[1])]
+    lag = np.concatenate(
+        [[tau] * part.values.shape[1] for part, tau in zip(parts, lags, strict=False)]
+    )
+    wanted = np.clip(command, low, high)
+    model = np.stack(
+        [first_order(wanted[:, i], actual[0, i], lag[i], step) for i in range(len(lag))], axis=1
+    )
+    return Response(actual, command, model, low, high, names, units)
+
+
 def fastest_responses(groups: Groups, config: Config) -> dict[str, tuple[Flight, Response]]:
     """The fastest flight of each group with its ``response``, by label, where there is one."""
     best = {label: fastest(flights) for label, flights in groups.items()}
     signals = {label: response(flight, config.vehicle) for label, flight in best.items()}
     return {label: (best[label], found) for label, found in signals.items() if found is not None}
+
+
+def error_figure(flight: Flight, signals: Response, gates: int, title: str = "") -> Figure:
+    """The signals with their limits and the errors of a flight over time, a row for each signal.
+
+    Args:
+        flight: the flight.
+        signals: of ``response``.
+        gates: of the track: passages are marked, the ends of laps by darker lines.
+        title: of the figure.
+    """
+    figure = new_figure(9.6, 0.9 + 1.25 * len(signals.names))
+    same_unit = len(set(signals.units)) == 1
+    grid = figure.subplots(len(signals.names), 2, sharex=True, sharey="col" if same_unit else False)
+    time, colors = flight.time, matplotlib.colormaps["viridis"]([0.1, 0.55, 0.75])
+    small: dict[str, Any] = {"fontsize": 8, "color": INK}
+    for index, (left, right) in enumerate(grid):
+        left.plot(time, signals.command[:, index], color=MUTED, lw=0.6, label="commanded")
+        model, actual = signals.model[:, index], signals.actual[:, index]
+        left.plot(time, model, color=colors[2], lw=1.3, label="first-order response")
+        left.plot(time, actual, color=colors[0], lw=1.0, label="measured")
+        left.axhline(signals.high[index], color=INK, lw=0.9, ls=":", label="limits")
+        left.axhline(signals.low[index], color=INK, lw=0.9, ls=":")
+        right.plot(time, signals.error[:, index], color=colors[0], lw=0.9)
+        right.axhline(0.0, color=INK, lw=0.8)
+        for axes in (left, right):
+            tidy(axes)
+            axes.tick_params(labelsize=8)
+            axes.set_xlim(time[0], time[-1])
+            for number, passed in enumerate(flight.passages[:, 0], start=1):
+                low = 0.0 if number % gates == 0 else 0.94
+                axes.axvline(passed, ymin=low, color=MUTED, lw=0.8, zorder=0)
+        left.set_ylabel(f"{signals.names[index]}\n({signals.units[index]})", **small)
+        text = f"RMS {signals.rms[index]:.3g} {signals.units[index]}"
+        right.set_title(text, loc="right", pad=2, **small)
+    grid[0, 1].set_title("error to the first-order response", loc="left", pad=2, **small)
+    for axes in grid[-1]:
+        axes.set_xlabel("time (s)", color=INK)
+    figure.legend(
+        *grid[0, 0].get_legend_handles_labels(),
+        loc="outside upper left",
+        ncols=4,
+        frameon=False,
+        fontsize=9,
+        labelcolor=INK,
+        title=f"{title or flight.name}; ticks: gates, lines: laps",
+        title_fontsize=9,
+        alignment="left",
+    )
+    return figure

@@ -14,14 +14,15 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.evaluation.conditions import Condition, Conditions, damaged
-from quadjax.evaluation.rows import Speeds
+from quadjax.evaluation.published import LAPS, published_row
+from quadjax.evaluation.rows import Row, Speeds
 from quadjax.flights.flight import Flight, recorded_flights
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race import environment, episode
 from quadjax.race import laps as race
 from quadjax.race.episode import draw_start, start_gate, with_memory
-from quadjax.race.laps import Actor, Laps, LapState
+from quadjax.race.laps import Actor, LapState
 from quadjax.race.random_track import RandomTracks
 from quadjax.race.track import Track, gate, gate_count
 from quadjax.race.types import Choices, RaceParams, RaceState
@@ -29,6 +30,7 @@ from quadjax.vehicle.protocol import Motion
 
 DISTANCE = 1.0  # m before the gate
 VELOCITY, ROLL_PITCH, RATES = 0.5, math.pi / 9, 0.1  # half-widths: m/s, rad, rad/s
+ALIKE = (LAPS, "hover", False)  # protocol of the published flights
 MAX_LAPS = 64  # that one flight of a given duration is counted for
 
 
@@ -39,7 +41,7 @@ def simulate(
     condition: Condition,
     protocol: Conditions,
     actor: Actor = pilot.fly,
-) -> tuple[Laps, Speeds | None, Callable[[], list[Flight]]]:
+) -> tuple[Row, Callable[[], list[Flight]]]:
     """Simulate the flights of a policy under a condition.
 
     Args:
@@ -51,8 +53,8 @@ def simulate(
         actor: computes the actions.
 
     Returns:
-        The result; speeds, if the protocol says so; and a function that repeats the flights and
-        returns them with their states.
+        The row, with the published one of the same race and protocol, if any; and a function that
+        repeats the flights and returns them with their states.
 
     Raises:
         InputError: a policy that does not fit, or a condition that a simulation does not have.
@@ -60,10 +62,12 @@ def simulate(
     modeled, config = configs
     if condition.plant or condition.only is not None:
         raise InputError(f"condition {condition.label}: changes the plant, allowed: with a plant")
+    label = condition.label
     if protocol.tracks:
         if protocol.start != "hover":
             raise InputError(f"start is {protocol.start}, allowed: hover on random tracks")
         tracks = unseen_tracks(modeled, protocol.runs or 1)
+        label = f"{tracks.seed} to {tracks.seed + tracks.count - 1}"
         config = config.replace(randomization=config.randomization.replace(tracks=tracks))
     choices, params = pilot.fit_race(*race_of(config), policy, name)
     layouts = params.tracks if protocol.tracks else None
@@ -102,7 +106,10 @@ def simulate(
         _, trace = race.fly_race(choices, actor, count, steps, True, *flights)
         return recorded_flights(trace, laps, time_step, config.track.gates, choices.model)
 
-    return laps, speeds, record
+    is_alike = (protocol.laps, protocol.start, protocol.deterministic) == ALIKE
+    is_alike = is_alike and condition.damage is None and not protocol.tracks
+    published = published_row(config) if is_alike else None
+    return Row(name, laps, label, 1, speeds, config.vehicle.fitted_speed, published), record
 
 
 def _starts(

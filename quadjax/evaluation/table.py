@@ -19,7 +19,6 @@ from quadjax.evaluation.rows import Row, describe_crashes, interval
 from quadjax.flights.flight import Flight, fastest
 
 Format = Literal["text", "markdown", "latex"]
-WIDTH = 80  # columns of a terminal
 WIDEST_LABEL = 40  # columns of the first column as text; longer labels are wrapped
 LISTED = 10  # flights of a group that have a line each
 BOLD = re.compile(r"^\*(.*)\*$")
@@ -41,7 +40,7 @@ class Table:
     notes: Sequence[str] = ()
 
     def format(self, kind: Format = "text") -> str:
-        """The table as text of at most 80 columns, as Markdown, or as LaTeX for booktabs.
+        """The table as text, as Markdown, or as LaTeX for booktabs.
 
         Raises:
             InputError: another format.
@@ -51,32 +50,20 @@ class Table:
         return {"text": self._text, "markdown": self._markdown, "latex": self._latex}[kind]()
 
     def _text(self) -> str:
-        """Columns that do not fit continue in another block."""
-        cells = [self.titles, *(row for row in self.rows if len(row) > 1)]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        widths[0] = min(widths[0], WIDEST_LABEL)
-        blocks: list[list[int]] = [[]]
-        for column in range(1, len(widths)):
-            used = widths[0] + sum(1 + widths[other] for other in [*blocks[-1], column])
-            if used > WIDTH and blocks[-1]:
-                blocks.append([])
-            blocks[-1].append(column)
-        return "\n".join([*(self._block(block, widths[0]) for block in blocks), *self.notes])
-
-    def _block(self, columns: Sequence[int], label: int) -> str:
         grid = RichTable(box=box.SIMPLE_HEAD, padding=0, show_edge=False, pad_edge=False)
-        grid.add_column(Text(self.titles[0]), width=label)
-        for column in columns:
-            grid.add_column(Text(self.titles[column]), justify="right", no_wrap=True)
+        grid.add_column(Text(self.titles[0]), max_width=WIDEST_LABEL)
+        for title in self.titles[1:]:
+            grid.add_column(Text(title), justify="right", no_wrap=True)
         for row in self.rows:
             if len(row) == 1:
                 grid.add_section()
-            grid.add_row(*(Text(row[c]) for c in (0, *columns) if c < len(row)))
+            grid.add_row(*map(Text, row))
         stream = io.StringIO()
         # Not as a notebook's console, which would display the table and leave the text empty.
-        console = Console(file=stream, width=10 * WIDTH, color_system=None, force_jupyter=False)
+        console = Console(file=stream, width=10**4, color_system=None, force_jupyter=False)
         console.print(grid)
-        return "\n".join(line.rstrip() for line in stream.getvalue().rstrip().splitlines())
+        lines = [line.rstrip() for line in stream.getvalue().rstrip().splitlines()]
+        return "\n".join([*lines, *self.notes])
 
     def _markdown(self) -> str:
         rows = [[*row, *[""] * (len(self.titles) - len(row))] for row in self.rows]
@@ -126,7 +113,8 @@ def interval_text(values: np.ndarray, sign: bool = False) -> str:
 def lap_table(rows: Sequence[Row]) -> Table:
     """Mean laps of each row, total, best and finishers, then the published row, if it is one.
 
-    The notes say how runs ended early.
+    A row is named by its condition, and by its policy where there are several. The notes say how
+    runs ended early.
     """
     published = list(dict.fromkeys(row.published for row in rows if row.published))
     published = published if len(published) == 1 else []
@@ -134,9 +122,11 @@ def lap_table(rows: Sequence[Row]) -> Table:
     titles = [f"lap {lap + 1}" for lap in range(count)]
     if gates := next((row.laps.last_gates for row in rows if row.laps.last_gates), 0):
         titles[-1] = counted(gates, "gate")
+    several = len({row.policy for row in rows}) > 1
     lines, notes = [], ["seconds; means over the runs that finished"]
     for row in [*rows, *published]:
-        label = ", ".join(text for text in (row.policy, row.condition) if text)
+        names = (row.policy if several or not row.condition else "", row.condition)
+        label = ", ".join(filter(None, names))
         done = [number(row.numbers["best"]), f"{row.finished}/{row.runs}"]
         last = ["-", "-"] if row in published else done
         lines.append([label, *_laps(row.lap_means, count), number(row.total), *last])

@@ -55,8 +55,12 @@ def open_study(sweep: Sweep, directory: Path, slot: int | None = None) -> optuna
         if slot is not None:  # another seed for each worker, and after each resumption
             seed = search.seed + slot + SLOTS * len(study.get_trials(deepcopy=False))
             if search.method == "tpe":  # the liar keeps trials that run at the same time apart
-                options = {"n_startup_trials": search.startup, "multivariate": True}
-                study.sampler = TPESampler(seed=seed, constant_liar=True, **options)
+                study.sampler = TPESampler(
+                    seed=seed,
+                    n_startup_trials=search.startup,
+                    multivariate=True,
+                    constant_liar=True,
+                )
             else:
                 study.sampler = RandomSampler(seed)
             if search.method == "grid":

@@ -31,7 +31,7 @@ def test_the_url_of_a_database_is_told_with_its_password(tmp_path, capsys):
     assert "://bob:***@h/db" in refusal(capsys, "sweep", "learning_rate", url)
 
 
-@pytest.mark.parametrize("other", ["policy", "config", "figure", "override", "link"])
+@pytest.mark.parametrize("other", ["policy", "config", "states", "override", "link"])
 def test_an_output_does_not_replace_another_file_of_the_command(tmp_path, capsys, other):
     policy, config, states = tmp_path / "p.npz", tmp_path / "c.yaml", tmp_path / "s.npz"
     policy.write_text("mine")
@@ -40,7 +40,7 @@ def test_an_output_does_not_replace_another_file_of_the_command(tmp_path, capsys
     extra = {
         "policy": ("--states", policy),
         "config": ("--json", config),
-        "figure": ("--figure", tmp_path / "a.png", "--signals", tmp_path / "." / "a.png"),
+        "states": ("--states", tmp_path / "a.csv", "--json", tmp_path / "." / "a.csv"),
         "override": (f"vehicle.residual={states}", "--states", states),
         "link": ("--states", tmp_path / "l.npz"),
     }[other]

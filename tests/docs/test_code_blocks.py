@@ -80,7 +80,7 @@ def traced_chunk(learner, mesh, updates, params, state):
 @pytest.mark.slow
 @pytest.mark.parametrize("page", GUIDE, ids=name_of)
 def test_blocks_run(page, folder, monkeypatch):
-    monkeypatch.setattr(compare, "run_comparison", lambda *_: "")
+    monkeypatch.setattr(compare, "compare", lambda *_: "")
     if name_of(page) not in TRAINED:
         monkeypatch.setattr(parallel, "compile_chunk", traced_chunk)
         monkeypatch.setattr(training_run, "make_flights", lambda *_: lambda networks: NO_LAPS)

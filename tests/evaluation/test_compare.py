@@ -12,7 +12,6 @@ from benchmarks.ablation import VARIANTS
 from quadjax import compare
 from quadjax.config.loading import load_config
 from quadjax.core.resources import CONFIGS, PRETRAINED
-from quadjax.evaluation.conditions import read_conditions
 from quadjax.evaluation.plants import drawn
 from quadjax.evaluation.rows import Row, concatenate
 from quadjax.fitting.signals import first_order
@@ -24,8 +23,7 @@ from quadjax.race.laps import Laps
 from tests.commands import run
 
 ROOT = Path(__file__).resolve().parents[2]
-LISTED = read_conditions("plants", ["all effects"])
-SETTING = compare.Setting({}, load_config("e2e +residual"), PlantConfig(), LISTED, runs=6)
+VEHICLE = load_config("e2e +residual").vehicle
 
 
 def laps(*seconds):
@@ -50,7 +48,7 @@ def test_the_table_has_flights_of_this_comparison_only():
         "INDI simulated": evaluated(laps(2.75, 2.75), 7.0, ("rad/s",) * 4),
         "INDI stand-in plant": evaluated(laps(*[2.85] * 5, 4.0), 3000.0, name="motor_command"),
     }
-    text = compare.table_text(SETTING, flown)
+    text = compare.table_text(VEHICLE, flown)
     for line in (
         "E2E stand-in plant",
         "5/6",
@@ -61,7 +59,7 @@ def test_the_table_has_flights_of_this_comparison_only():
     ):
         assert line in text, text
     assert "published" not in text
-    shares = [compare.limit_fraction(SETTING, result) for result in flown.values()]
+    shares = [compare.limit_fraction(VEHICLE, result) for result in flown.values()]
     assert shares == [0.0, 1.0, None, 1.0]
     none = Row("", laps(np.nan, 2.75))
     text = compare.lead("simulated", Row("", laps(2.5, np.nan)), none)

@@ -286,17 +286,38 @@ def test_every_drawn_plant_has_its_own_noise_and_its_share_of_the_runs(monkeypat
 
 
 @pytest.mark.slow
+def test_on_a_plant_several_policies_fly_the_protocols_that_it_has(monkeypatch, capsys):
+    from quadjax.evaluation import plants
+
+    flown, fly_plan = [], plants.fly_plan
+
+    def fly(plan, seed):
+        flown.append(seed)
+        return fly_plan(plan, seed)
+
+    monkeypatch.setattr(plants, "fly_plan", fly)
+    policies = ("--policy", "e2e_nominal", "--policy", "indi_shac")
+    assert run("evaluate", *policies, "--plant", "standin", "--laps", 1, "--runs", 2) == 0
+    text = capsys.readouterr().out
+    assert "| policy | mean | sampled |" in text and flown == [1, 1, 1, 1]
+    assert "Not flown on the plant, which has no such start: mean, random; sampled, random." in text
+    with pytest.raises(InputError, match="from hover"):
+        quadjax.evaluate("e2e_nominal", "e2e", plant="standin", start="random", runs=1)
+
+
+@pytest.mark.slow
 def test_a_flight_leaves_what_was_asked_for(tmp_path, capsys):
     """A policy that crashes is a result, not an error."""
     random_policy().save(tmp_path / "policy.npz")
-    outputs = {name: tmp_path / f"a.{name}" for name in ("json", "png", "gif")}
+    outputs = {name: tmp_path / f"a.{name}" for name in ("json", "gif")}
     arguments = ("--laps", 1, "--runs", 2, "--policy", tmp_path / "policy.npz")
-    files = ("--json", outputs["json"], "--figure", outputs["png"], "--animation", outputs["gif"])
+    files = ("--json", outputs["json"], "--figures", tmp_path, "--animation", outputs["gif"])
     assert run("evaluate", "e2e", *arguments, *files, "vehicle.constants.k_w=4.5e-8") == 0
     text = capsys.readouterr().out
     assert "sampled, 2 runs" in text and "0/2" in text
     result = json.loads(outputs["json"].read_text())
     assert result["runs"] == 2 and result["finished"] == 0 and len(result["crashes"]) == 2
-    for name in ("png", "gif"):
-        with Image.open(outputs[name]) as image:
+    pictures = [tmp_path / f"{name}.png" for name in ("trajectory", "perspective", "signals")]
+    for path in (*pictures, outputs["gif"]):
+        with Image.open(path) as image:
             assert image.size[0] > 300

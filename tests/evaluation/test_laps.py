@@ -103,18 +103,18 @@ def test_json_and_table_of_laps(flown):
     assert "2/2" in text and "17.14" in text and "15.75" not in text and "\npublished\n" in text
 
 
-@pytest.mark.parametrize(
-    "label", ["sampled, 5 runs", "E2E stand-in plant, mean of 5", "word " * 20]
-)
-def test_six_laps_and_their_sum_are_one_block_of_80_columns(label):
+def test_a_lap_table_names_policies_where_there_are_several():
     times = np.full((100, 6), 2.5)
     times[3, 4:] = np.nan
     crashes = tuple("hit a gate" if run == 3 else "" for run in range(100))
-    laps = Laps(times, crashes, np.full(100, 15.0), 48.0)
-    shown = table.lap_table([Row(label, laps, published=published.INDI)])
-    lines = shown.format().splitlines()
-    assert max(map(len, lines[: -len(shown.notes)])) <= table.WIDTH == 80
-    assert all(word in "".join(lines) for word in ("2.50", "lap 6", "15.00", "99/100"))
+    row = Row("mine", Laps(times, crashes, np.full(100, 15.0), 48.0), "sampled, 100 runs")
+    lines = table.lap_table([dataclasses.replace(row, published=published.INDI)]).format()
+    assert all(word in lines for word in ("2.50", "lap 6", "15.00", "99/100"))
+    assert "\nsampled, 100 runs " in lines and "mine" not in lines
+    assert "\nsampled, 100 runs: run 4: hit a gate in lap 5 after 15.00 s" in lines
+    other = dataclasses.replace(row, policy="other", condition="")
+    lines = table.lap_table([row, other]).format()
+    assert "\nmine, sampled, 100 runs " in lines and "\nother " in lines
 
 
 def test_many_early_ends_are_few_lines():

@@ -1,3 +1,5 @@
+"""Figures of flights: what is drawn where, to scale."""
+
 import io
 
 import numpy as np
@@ -7,8 +9,7 @@ from PIL import Image
 from quadjax.core.errors import InputError
 from quadjax.core.plotting import save_figure
 from quadjax.evaluation import animation
-from quadjax.evaluation.charts import attitude_figure, signals_figure
-from quadjax.evaluation.figures import space_figure, trajectory_figure
+from quadjax.evaluation.figures import signals_figure, space_figure, trajectory_figure
 from quadjax.flights.flight import Flight, Signal, motion_signals
 from quadjax.race.track import GateSection
 
@@ -83,26 +84,28 @@ def test_tilted_and_round_gates_have_their_outline_from_both_sides():
     assert np.ptp(edge, axis=0) == pytest.approx([2.0, 0.0], abs=1e-6)
 
 
-def test_a_legend_is_above_the_axes():
+def test_a_legend_is_above_the_axes_and_a_still_flight_can_be_drawn():
     figure = trajectory_figure([circle()], GATES, "title")
     figure.canvas.draw()
     legend = figure.axes[0].get_legend().get_window_extent()
     top = figure.axes[0].get_window_extent().y1
     assert top - 5 <= legend.y0 < legend.y1 < figure.bbox.y1
-
-
-def test_a_short_unmoving_flight_can_be_drawn():
     flight = circle(seconds=0.02)
     still = flight.with_signals(velocity=0 * flight["velocity"])
     assert colors(pixels(trajectory_figure([still], GATES))) > 10
 
 
 @pytest.mark.parametrize("motors", [4, 1])
-def test_signals_are_drawn_with_the_commanded_thrust_of_a_single_actuator(motors):
-    above, below = signals_figure(circle(motors)).axes
-    assert len(above.lines) == (5 if motors == 4 else 3)  # with the end of the lap
-    np.testing.assert_array_equal(below.lines[1].get_ydata(), circle()["rates"][:, 1])
-    commanded = [line for line in above.lines if line.get_label() == "commanded"]
+def test_signals_are_drawn_upwards_in_degrees_and_with_the_commanded_thrust(motors):
+    flight = circle(motors)
+    height, speed, attitude, rates, actuators = signals_figure(flight).axes
+    np.testing.assert_allclose(height.lines[0].get_ydata(), -flight["position"][:, 2])
+    np.testing.assert_allclose(speed.lines[0].get_ydata(), flight.speed)
+    for line, angle in zip(attitude.lines, flight["attitude"].T, strict=False):
+        np.testing.assert_allclose(np.radians(line.get_ydata()), np.unwrap(angle), atol=1e-9)
+    np.testing.assert_array_equal(rates.lines[1].get_ydata(), flight["rates"][:, 1])
+    assert len(actuators.lines) == (5 if motors == 4 else 3)  # with the end of the lap
+    commanded = [line for line in actuators.lines if line.get_label() == "commanded"]
     assert len(commanded) == (motors == 1)
 
 
@@ -148,12 +151,3 @@ def test_a_flight_in_space_has_its_gates_and_equal_scales():
     np.testing.assert_allclose(box / box[0], np.ptp(limits, axis=1) / np.ptp(limits[0]))
     assert {text.get_text().strip() for text in axes.texts} >= {"1", "2"}
     assert colors(pixels(figure)) > 50
-
-
-def test_height_and_attitude_are_drawn_upwards_and_in_degrees():
-    flight = circle()
-    lines = [panel.lines[0].get_ydata() for panel in attitude_figure(flight).axes]
-    np.testing.assert_allclose(lines[0], -flight["position"][:, 2])
-    np.testing.assert_allclose(lines[1], flight.speed)
-    for line, angle in zip(lines[2:], flight["attitude"].T, strict=True):
-        np.testing.assert_allclose(np.radians(line), np.unwrap(angle), atol=1e-9)

@@ -11,7 +11,7 @@ from quadjax.evaluation.conditions import read_conditions
 from quadjax.evaluation.curves import COLORS, learning_figure, spread, training_figure
 from quadjax.evaluation.evaluate import Evaluation
 from quadjax.evaluation.rows import Row
-from quadjax.evaluation.seeds import COLUMNS, configs_of, evaluate_seed, format_seeds, train_once
+from quadjax.evaluation.training import COLUMNS, configs_of, evaluate_seed, format_seeds, train_once
 from quadjax.training.result import read_metrics
 from tests.evaluation.test_laps import flights
 from tests.surface.short import OF_EACH, OF_LEARNER

@@ -74,9 +74,9 @@ evaluate e2e --policy e2e --laps 2 --gates 3 | --gates --laps
 evaluate e2e --policy e2e --seed -1 | --seed -1
 evaluate e2e --policy e2e --json notes.txt/a.json | notes.txt
 evaluate e2e --policy e2e --start floor | floor hover
-evaluate e2e --policy e2e --figure a.xyz | a.xyz
+evaluate e2e --policy e2e --states a.xyz | a.xyz
 evaluate e2e --policy e2e --animation a.mp4 | a.mp4
-evaluate e2e --policy e2e --study spread --figure x.png | --figure effect --conditions
+evaluate e2e --policy e2e --study spread --figures x | --figures effect --conditions
 evaluate e2e --policy e2e --study protocols --deterministic | --deterministic effect
 evaluate e2e --policy e2e --conditions damage --only fog | --only 'fog' modeled
 evaluate e2e --policy e2e --only fog | --only --conditions

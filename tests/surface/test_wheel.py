@@ -61,7 +61,7 @@ def test_it_trains_and_evaluates_in_an_empty_folder(installed, tmp_path):
     for arguments in (
         ["train", *short("e2e"), "--name", "first"],
         ["evaluate", "e2e", "--policy", "runs/first/policy.npz", "--laps", "1", "--runs", "2"]
-        + ["--json", "laps.json", "--figure", "lap.png"],
+        + ["--json", "laps.json", "--figures", "lap"],
     ):
         done = run(installed, tmp_path, "-m", "quadjax", *arguments)
         assert done.returncode == 0, done.stdout + done.stderr

@@ -48,14 +48,6 @@ def picture(page) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB"), np.float64)
 
 
-def busy(image: np.ndarray, rows: int = 6, columns: int = 8) -> np.ndarray:
-    """How much each cell (rows, columns) of a picture differs from the commonest color."""
-    colors, counts = np.unique(image.reshape(-1, 3), axis=0, return_counts=True)
-    differs = np.abs(image - colors[counts.argmax()]).sum(axis=2) > 60
-    cells = [np.array_split(row, columns, axis=1) for row in np.array_split(differs, rows, axis=0)]
-    return np.array([[cell.mean() for cell in row] for row in cells])
-
-
 def test_a_page_loads_from_disk_and_plays_without_network(open_scene):
     with open_scene(RACE) as page:
         assert [url.split(":")[0] for url in page.requests] == ["file"]
@@ -79,7 +71,7 @@ def test_positions_and_attitudes_agree_with_float64(open_scene):
             np.testing.assert_allclose(shown, turn, atol=1e-3)
 
 
-def test_keys_play_step_and_choose(open_scene):
+def test_keys_the_time_line_and_the_buttons(open_scene):
     with open_scene(RACE) as page:
         press = page.page.keyboard.press
         page.still(1.0)
@@ -102,11 +94,6 @@ def test_keys_play_step_and_choose(open_scene):
         before = page.page.get_attribute("html", "data-theme")
         press("t")
         assert page.page.get_attribute("html", "data-theme") != before
-
-
-def test_the_time_line_and_the_buttons(open_scene):
-    with open_scene(RACE) as page:
-        page.still(0.0)
         page.page.get_by_label("time", exact=True).fill("3.1")
         assert page.state()["time"] == pytest.approx(3.1)
         page.page.get_by_label("playback speed").select_option("0.1")
@@ -176,23 +163,8 @@ def test_every_control_is_on_the_screen(open_scene, size):
         assert page.do("return document.documentElement.scrollWidth") <= size[0]
 
 
-def test_views_and_themes_show_the_scene(open_scene):
-    for scheme in ("dark", "light"):
-        with open_scene(RACE, scheme=scheme) as page:
-            page.still(1.3)
-            shapes = {}
-            for view in ("orbit", "chase", "on-board", "top"):
-                page.do(f"viewer.setView('{view}')")
-                image = picture(page)
-                shapes[view] = busy(image)
-                assert 0.005 < shapes[view].mean() < 0.9
-                dark = image.mean() < 100
-                assert dark == (scheme == "dark")
-            assert np.abs(shapes["orbit"] - shapes["top"]).max() > 0.05
-
-
 def test_from_above_the_drones_are_where_they_fly(open_scene):
-    with open_scene(scene(circle("one", lap=4.0))) as page:
+    with open_scene(scene(circle("one", lap=4.0)), scheme="light") as page:
         page.do("viewer.setView('top'); viewer.setTrail(0); viewer.toggleLabels()")
         pictures = []
         for quarter in range(4):  # north, east, south, west
@@ -200,6 +172,7 @@ def test_from_above_the_drones_are_where_they_fly(open_scene):
             pictures.append(picture(page))
         still = np.median(pictures, axis=0)
         height, width = still.shape[:2]
+        assert still.mean() > 150  # a light scheme
         for image, ahead in zip(pictures, ((1, 0), (0, 1), (-1, 0), (0, -1)), strict=True):
             y, x = np.nonzero(np.abs(image - still).sum(axis=2) > 90)
             place = np.array([np.median(x) - width / 2, np.median(y) - height / 2])
@@ -222,15 +195,6 @@ def test_hostile_names_are_shown_as_text(open_scene):
         assert page.do("return document.images.length") == 0
 
 
-def test_ten_megabytes_of_flights(open_scene):
-    many = scene(*(circle(f"flight {k}", lap=3.0 + 0.01 * k, laps=6) for k in range(90)))
-    assert len(str(many)) > 9e6
-    with open_scene(many) as page:
-        assert len(page.state(5.0)["drones"]) == 90
-        page.still(5.0)
-        assert busy(picture(page)).mean() > 0.005
-
-
 def test_a_notebook_shows_the_page_in_a_frame(browser, tmp_path):
     path = tmp_path / "notebook.html"
     path.write_text(f"<!doctype html><p>cell</p>{frame(RACE)}", encoding="utf-8")
@@ -243,8 +207,6 @@ def test_a_notebook_shows_the_page_in_a_frame(browser, tmp_path):
 
 
 def test_without_webgl_the_page_says_so(browser, tmp_path):
-    from quadjax.view.page import write_page
-
     path = tmp_path / "flights.html"
     write_page(path, RACE)
     page = browser.new_page()
