@@ -259,7 +259,7 @@ def draw_gates(
     heights = np.array([-gate.position[2] for gate in gates])
     differ = float(np.ptp(heights)) > 0.05
     names = [str(index + 1) for index in range(len(gates))]
-    bold = {"color": INK, "fontsize": 11, "fontweight": "bold"}
+    bold: dict[str, Any] = {"color": INK, "fontsize": 11, "fontweight": "bold"}
     _label(above, places, names, 5 if differ else 0, **bold)
     if differ:
         meters = [f"{height:.1f}" for height in heights]
@@ -276,9 +276,8 @@ def _label(
         groups.setdefault(int(near.argmax()), []).append(text)
     for first, group in groups.items():
         label, place = f"{', '.join(group)}{unit}", tuple(places[first])
-        middle: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6}
-        points = {"xytext": (0, up), "textcoords": "offset points"}
-        axes.annotate(label, place, **points, **middle, **style)
+        more: dict[str, Any] = {"xytext": (0, up), "textcoords": "offset points", "zorder": 6}
+        axes.annotate(label, place, ha="center", va="center", **more, **style)
 
 
 def gate_outline(gate: GateSection) -> np.ndarray:

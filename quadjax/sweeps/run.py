@@ -1,5 +1,6 @@
 """Running a sweep: workers take trials from its study until its budget is used up."""
 
+import contextlib
 import datetime
 import math
 import socket
@@ -157,7 +158,8 @@ def run_sweep(
         retry_running(study)
     first = printed = len(trials_over(study))
     running: dict[int, tuple[str, Any]] = {}
-    with interruptions() as stop, storage_errors(sweep, directory):
+    guard = contextlib.nullcontext() if journal else storage_errors(sweep, directory)
+    with interruptions() as stop, guard:
         while (over := len(trials_over(study))) < sweep.trials or running:
             elapsed, interrupted = time.monotonic() - started, stop.is_set()
             ends = interrupted or elapsed > seconds

@@ -95,18 +95,20 @@ def _storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
 @contextlib.contextmanager
 def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
     """Turn errors of the storage in the block into one ``InputError``."""
-    journal, kinds = sweep.file.storage == JOURNAL, (LookupError, TypeError, AttributeError)
+    kinds: tuple[type[Exception], ...] = (ValueError, LookupError, TypeError, AttributeError)
+    where = f"{directory / FILE} is damaged, start over with --overwrite"
+    if sweep.file.storage != JOURNAL:
+        kinds = (SQLAlchemyError, optuna.exceptions.OptunaError, ImportError, ValueError)
+        where = "storage cannot be used"
     try:
         yield
     except InputError:
         raise
-    except (SQLAlchemyError, optuna.exceptions.OptunaError, ImportError, ValueError, *kinds) as e:
-        cause = getattr(e.__cause__ or e, "orig", None) or e.__cause__ or e
+    except kinds as error:
+        cause = getattr(error.__cause__ or error, "orig", None) or error.__cause__ or error
         reason = (str(cause).strip().splitlines() or [type(cause).__name__])[0]
         if isinstance(cause, ImportError):
             reason += ": pip install 'quadjax[sweep-postgresql]'"
-        where = f"{directory / FILE} is damaged, start over with --overwrite"
-        where = where if journal else "storage cannot be used"
         raise InputError(f"{where} ({reason.replace(sweep.file.storage, 'URL')})") from None
 
 

@@ -16,7 +16,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import preset_names
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.evaluation import published
+from quadjax.evaluation import plants, published
 from quadjax.evaluation.conditions import Condition, Conditions, Damaged, damaged, read_conditions
 from quadjax.evaluation.rows import Row, Speeds
 from quadjax.evaluation.simulate import fly_with_speeds, start_before_gate, unseen_tracks
@@ -262,22 +262,25 @@ def test_policies_of_several_files_are_one_table(tmp_path, capsys):
     assert found["provenance"]["config"]["name"] == "e2e"
 
 
-@pytest.mark.slow
-def test_every_drawn_plant_has_its_own_noise_and_its_share_of_the_runs(monkeypatch):
-    from quadjax.evaluation import plants
-
-    seen, whole = [], plants.fly_plan
+@pytest.fixture
+def plants_flown(monkeypatch):
+    """Seed and runs of every flight on a plant."""
+    flown, fly_plan = [], plants.fly_plan
 
     def fly(plan, seed):
-        seen.append((seed, plan.runs))
-        return whole(plan, seed)
+        flown.append((seed, plan.runs))
+        return fly_plan(plan, seed)
 
     monkeypatch.setattr(plants, "fly_plan", fly)
-    flown = quadjax.evaluate(
-        "e2e_nominal", "e2e", plant="standin", plants=2, runs=4, laps=1, seed=7
-    )
-    assert seen == [(7, 2), (8, 2)] and flown.row.plants == 2 and flown.row.runs == 4
-    assert len(flown.row.plant_totals) == 2
+    return flown
+
+
+@pytest.mark.slow
+def test_every_drawn_plant_has_its_own_noise_and_its_share_of_the_runs(plants_flown):
+    numbers = {"plants": 2, "runs": 4, "laps": 1, "seed": 7}
+    flown = quadjax.evaluate("e2e_nominal", "e2e", plant="standin", **numbers)
+    assert plants_flown == [(7, 2), (8, 2)]
+    assert (flown.row.plants, flown.row.runs, len(flown.row.plant_totals)) == (2, 4, 2)
     flight = flown.best
     assert flight["motor_command"].shape == (len(flight.time), 4)
     listed = Conditions(conditions=(Condition(label="a", damage={}),), plant="standin")
@@ -286,20 +289,11 @@ def test_every_drawn_plant_has_its_own_noise_and_its_share_of_the_runs(monkeypat
 
 
 @pytest.mark.slow
-def test_on_a_plant_several_policies_fly_the_protocols_that_it_has(monkeypatch, capsys):
-    from quadjax.evaluation import plants
-
-    flown, fly_plan = [], plants.fly_plan
-
-    def fly(plan, seed):
-        flown.append(seed)
-        return fly_plan(plan, seed)
-
-    monkeypatch.setattr(plants, "fly_plan", fly)
+def test_on_a_plant_several_policies_fly_the_protocols_that_it_has(plants_flown, capsys):
     policies = ("--policy", "e2e_nominal", "--policy", "indi_shac")
     assert run("evaluate", *policies, "--plant", "standin", "--laps", 1, "--runs", 2) == 0
     text = capsys.readouterr().out
-    assert "| policy | mean | sampled |" in text and flown == [1, 1, 1, 1]
+    assert "| policy | mean | sampled |" in text and plants_flown == [(1, 2)] * 4
     assert "Not flown on the plant, which has no such start: mean, random; sampled, random." in text
     with pytest.raises(InputError, match="from hover"):
         quadjax.evaluate("e2e_nominal", "e2e", plant="standin", start="random", runs=1)
