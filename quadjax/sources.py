@@ -1,8 +1,7 @@
 """Flights of any source: a training run, a policy, a file of flights, or a flight log."""
 
-import dataclasses
 import glob
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,31 +30,15 @@ SUFFIXES = (".npz", ".csv", ".json", ".ulg")
 MAX_FILES = 1000  # of a group
 
 
-@dataclasses.dataclass(frozen=True)
-class Options:
-    """How sources are read.
-
-    Attributes:
-        race: that policies fly, and whose gates logs pass; None: a policy's own.
-        evaluate: arguments of ``quadjax.evaluate`` for policies; one run of the mean action if not
-            given.
-        logs: columns and frames of flight logs; None: those of a known format, by the header.
-        progress: called with the policy that is simulated.
-        report: called with a line of text for a policy that flies the race of a preset.
-    """
-
-    race: Config | None = None
-    evaluate: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    logs: LogsConfig | None = None
-    progress: Callable[[str], None] = lambda line: None
-    report: Callable[[str], None] = lambda line: None
-
-
-DEFAULT = Options()
-
-
 def load_flights(
-    source: Path | str, name: str | None = None, options: Options = DEFAULT
+    source: Path | str,
+    name: str | None = None,
+    *,
+    race: Config | None = None,
+    logs: LogsConfig | None = None,
+    progress: Callable[[str], None] = lambda line: None,
+    report: Callable[[str], None] = lambda line: None,
+    **flown: Any,
 ) -> list[Flight]:
     """Flights of one source.
 
@@ -64,7 +47,12 @@ def load_flights(
             that comes with the package; a file that ``quadjax.flights.load`` reads; or a flight log
             (``.csv``, ``.ulg``).
         name: of the flights; the name of the file or folder if not given.
-        options: how they are read.
+        race: that policies fly, and whose gates logs pass; None: a policy's own.
+        logs: columns and frames of flight logs; None: those of a known format, by the header.
+        progress: called with the policy that is simulated.
+        report: called with a line of text for a policy that flies the race of a preset.
+        flown: arguments of ``quadjax.evaluate`` for policies; one run of the mean action if not
+            given.
 
     Raises:
         InputError: no such file, an unknown kind, or one that cannot be read.
@@ -72,20 +60,21 @@ def load_flights(
     path = Path(source)
     path = find_policy(source) if policy_path(path) == path else path
     name = name or (path.resolve().name if path.is_dir() else path.stem)
-    if path.is_dir():
-        return fly(_policy_of_run(path), name, options)
+    is_policy = path.is_dir()
+    path = _policy_of_run(path) if is_policy else path
     check_file(path)
     if path.suffix not in SUFFIXES:
         allowed = f"a run's folder, {', '.join(SUFFIXES)}"
         raise InputError(f"{source}: suffix is {path.suffix!r}, allowed: {allowed}")
-    if path.suffix in LOGS:
-        track = None if options.race is None else options.race.track
-        return [load_log(path, name, options.logs, track)]
-    if path.suffix == ".npz":
+    if path.suffix == ".npz" and not is_policy:
         _, meta = read_npz(path, (*POLICY_FORMATS, *files.FORMATS))
-        if meta["format"] in POLICY_FORMATS:
-            return fly(path, name, options)
-    return files.load(path, () if options.race is None else options.race.track.gates, name)
+        is_policy = meta["format"] in POLICY_FORMATS
+    if is_policy:
+        progress(f"simulating {path}")
+        return fly(path, name, race, report, **flown)
+    if path.suffix in LOGS:
+        return [load_log(path, name, logs, None if race is None else race.track)]
+    return files.load(path, () if race is None else race.track.gates, name)
 
 
 def _policy_of_run(folder: Path) -> Path:
@@ -99,14 +88,21 @@ def _policy_of_run(folder: Path) -> Path:
     return newest if newest.is_file() and not is_finished(folder) else policy
 
 
-def fly(path: Path, name: str, options: Options = DEFAULT) -> list[Flight]:
-    """Flights of a policy file in its race, or in that of the options, and published lap times."""
-    options.progress(f"simulating {path}")
+def fly(
+    path: Path,
+    name: str,
+    race: Config | None = None,
+    report: Callable[[str], None] = lambda line: None,
+    **flown: Any,
+) -> list[Flight]:
+    """Flights of a policy file in its race, or in another one, and published lap times.
+
+    The arguments are those of ``load_flights``.
+    """
     policy = Policy.load(path)
-    race, _ = race_of_policy(policy, path, options.race, report=options.report)
-    arguments = {"runs": 1, "deterministic": True} | dict(options.evaluate)
-    evaluation = evaluate(policy, race, name=str(path), **arguments)
-    return evaluation.named_flights(name)
+    race, _ = race_of_policy(policy, path, race, report=report)
+    arguments = {"runs": 1, "deterministic": True} | flown
+    return evaluate(policy, race, name=str(path), **arguments).named_flights(name)
 
 
 def load_log(

@@ -1,9 +1,8 @@
 """``quadjax view``."""
 
-import dataclasses
 import webbrowser
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -59,7 +58,7 @@ def view(
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.flights import save
-        from quadjax.sources import Options, load_flights
+        from quadjax.sources import load_flights
         from quadjax.view.data import page_record
         from quadjax.view.page import write_page
 
@@ -70,16 +69,20 @@ def view(
         raise InputError(f"--open needs an .html file, --output is {output}")
     config = load_config(race) if race else None
     columns = logs.columns() if logs.logs else None
-    flown = {"runs": runs, "laps": laps, "deterministic": not sampled, "seed": seed}
-    reading = Options(config, flown, columns, report=note)
+    options: dict[str, Any] = {
+        "runs": runs,
+        "laps": laps,
+        "deterministic": not sampled,
+        "seed": seed,
+    }
+    options |= {"race": config, "logs": columns, "report": note}
     title = title or (config.track.name if config else "") or "Flights"
     with steps() as report:
-        reading = dataclasses.replace(reading, progress=report)
         labels = [*names, *[None] * (len(flights) - len(names))]
         read = [
             flight
             for source, label in zip(flights, labels, strict=True)
-            for flight in load_flights(source, label, reading)
+            for flight in load_flights(source, label, progress=report, **options)
         ]
         record = page_record(title, read)
         if output.suffix == ".npz":
