@@ -1,9 +1,9 @@
-"""Size of residual models and of plants on the states of one nominal E2E flight.
+"""Size of residual models and of plants on the states of one flight.
 
 ``python -m benchmarks.residual_size [FILE.npz ...] [--plant NAME ...]`` prints what each residual,
 and the median of 40 drones of each plant, adds to the nominal model along one flight of six laps
-from hover (policy ``e2e_nominal.npz``, mean action): the force along body z per mass in m/s^2 (down
-is positive) and the moments in N m.
+from hover (``e2e_nominal.npz``, mean action; another with ``--policy FILE --race CONFIG``): the
+force along body z per mass in m/s^2 (down is positive) and the moments in N m.
 """
 
 import argparse
@@ -25,10 +25,9 @@ from quadjax.vehicle.residual import read_residual, residual_force_moment
 from quadjax.vehicle.rigid_body import RigidBodyState
 
 
-def nominal_states() -> list[np.ndarray]:
+def states_of(policy: Path, race: str) -> list[np.ndarray]:
     """Propeller speeds, rpm, velocity, m/s, body, and rates, rad/s, of each sample (n, .)."""
-    policy, options = PRETRAINED / "e2e_nominal.npz", {"laps": 6, "deterministic": True}
-    flight = quadjax.evaluate(policy, "e2e", runs=1, **options).flights[0]
+    flight = quadjax.evaluate(policy, race, runs=1, laps=6, deterministic=True).flights[0]
 
     def turned(velocity: jax.Array, euler: jax.Array) -> jax.Array:
         return world_to_body(attitude(Vec3.of(euler)), Vec3.of(velocity)).array()
@@ -70,15 +69,16 @@ def of_plant(config: PlantConfig, states: Sequence[np.ndarray]) -> tuple[np.ndar
 
 
 def sizes(force: np.ndarray, moment: np.ndarray) -> list[float]:
-    """Mean, RMS and largest force, and RMS moments."""
+    """Mean, RMS and largest force, RMS moments, and the standard deviations of all four."""
     rms = [np.sqrt((force**2).mean()), np.abs(force).max(), *np.sqrt((moment**2).mean(axis=0))]
-    return [force.mean(), *rms]
+    return [force.mean(), *rms, force.std(), *moment.std(axis=0)]
 
 
 def row(name: str, values: Sequence[float]) -> str:
     """A line of the table."""
-    force, moments = (" / ".join(f"{x:.2f}" for x in values[:3])), values[3:]
-    return f"| `{name}` | {force} | {', '.join(f'{x:.4f}' for x in moments)} |"
+    force = " / ".join(f"{x:.2f}" for x in values[:3])
+    rms, deviation = (", ".join(f"{x:.4f}" for x in part) for part in (values[3:6], values[7:]))
+    return f"| `{name}` | {force} | {rms} | {values[6]:.2f} | {deviation} |"
 
 
 def main() -> None:
@@ -86,9 +86,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("files", nargs="*")
     parser.add_argument("--plant", nargs="+", default=[])
+    parser.add_argument("--policy", type=Path, default=PRETRAINED / "e2e_nominal.npz")
+    parser.add_argument("--race", default="e2e")
     arguments = parser.parse_args()
-    states = nominal_states()
-    print("| residual | Fz mean / rms / largest, m/s^2 | Mx, My, Mz rms, N m |\n|---|---|---|")
+    states = states_of(arguments.policy, arguments.race)
+    deviations = "Fz deviation | Mx, My, Mz deviation"
+    print(f"| residual | Fz mean / rms / largest, m/s^2 | Mx, My, Mz rms, N m | {deviations} |")
+    print("|---|---|---|---|---|")
     for path in arguments.files:
         print(row(Path(path).name, sizes(*of_residual(path, states))))
     for name in arguments.plant:

@@ -73,7 +73,14 @@ def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
     return ends
 
 
+def _rising(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] >= ends[1]:
+        raise PydanticCustomError("rising", "Input should be [lowest, a larger highest]")
+    return ends
+
+
 ORDERED = AfterValidator(_ordered)  # of a pair: ``Annotated[tuple[float, float], ORDERED]``
+RISING = AfterValidator(_rising)  # the same of two different numbers
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pydantic import BeforeValidator
 from quadjax.core.errors import InputError
 from quadjax.core.sections import (
     MAX_SEED,
-    ORDERED,
+    RISING,
     Field,
     FolderName,
     NonNegative,
@@ -71,7 +71,7 @@ class LogsConfig(Section):
     world_frame: Literal["NED", "ENU", "auto"] | None = Field(
         None, description="axes of world-frame columns; auto: by gravity; null: the format's"
     )
-    motor_range: Annotated[tuple[MotorCommand, MotorCommand], ORDERED] | None = Field(
+    motor_range: Annotated[tuple[MotorCommand, MotorCommand], RISING] | None = Field(
         None, description="motor commands that are 0 and 1; null: the log's or the format's"
     )
     max_gap: Positive = Field(0.05, description="s, longest allowed gap between samples")
@@ -109,7 +109,7 @@ class BodyConfig(Section):
     inertia: tuple[Positive, Positive, Positive] | Literal["base"] | None = Field(
         None, description="kg m^2: xx, yy, zz; base takes the base vehicle's; required"
     )
-    rpm_range: Annotated[tuple[Positive, Positive], ORDERED] | None = Field(
+    rpm_range: Annotated[tuple[Positive, Positive], RISING] | None = Field(
         None, description="lowest, highest rpm; null takes the logs'"
     )
 

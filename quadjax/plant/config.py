@@ -28,6 +28,8 @@ from quadjax.vehicle.battery import BatteryConfig
 Half = Annotated[float, Field(ge=0.0, le=0.5)]
 Delay = Annotated[float, Field(ge=0.0, le=0.05)]
 Range = Annotated[tuple[Fraction, Fraction], ORDERED]  # a number is drawn between the two
+Deviation = Annotated[float, Field(ge=-2.0, le=2.0)]
+Deviations = Annotated[tuple[Deviation, Deviation], ORDERED]  # of either sign
 Lever = Annotated[float, Field(ge=-1.0, le=1.0)]
 
 MAX_LATENCY = 60  # samples, of a motion capture pose
@@ -76,10 +78,17 @@ class AirframeConfig(Section):
     """Ranges from which the airframe of each drone is drawn, by constants.seed; none by default."""
 
     speed_loss: Range = Field(
-        (0.0, 0.0), description="fraction of the thrust that rotors lose at rpm_max"
+        (0.0, 0.0),
+        description="of the thrust, per square of the speed above that of hover over rpm_max's",
+    )
+    torque_curve: Range = Field(
+        (0.0, 0.0), description="fraction of a rotor's torque that is quadratic in its speed"
     )
     rotor_spread: Half = Field(0.0, description="largest deviation of one rotor's thrust")
-    lift_loss: Range = Field((0.0, 0.0), description="fraction of k_h that is missing")
+    lift_loss: Deviations = Field(
+        (0.0, 0.0), description="fraction of k_h that is missing in flight along body x"
+    )
+    side_lift_loss: Deviations = Field((0.0, 0.0), description="the same along body y")
     wake_loss: Range = Field(
         (0.0, 0.0), description="fraction of its thrust that a rotor loses behind the others"
     )

@@ -22,16 +22,22 @@ def whole(constants, airframe, rpm, velocity, rates):
     level = np.array([*velocity[:2], 0.0])
     induced = mass * c.g / (8.0 * 1.225 * np.pi * r.radius**2)
     swept = level @ level / (level @ level + induced)
+    hover = np.sqrt(c.g / (4 * c.k_w))
     force, moment = np.zeros(3), np.zeros(3)
     for i, place in enumerate(places):
         behind = (1 - place @ level / np.linalg.norm(place) / np.linalg.norm(level)) / 2
-        loss = airframe.rotor_loss[i] + airframe.speed_loss * (rpm[i] / c.rpm_max) ** 2
+        faster = (rpm[i] ** 2 - hover**2) / c.rpm_max**2
+        loss = airframe.rotor_loss[i] + airframe.speed_loss * faster
         thrust = c.k_w * rpm[i] ** 2 * (1 - loss - airframe.wake_loss * swept * behind)
         full = c.k_w * rpm[i] ** 2
         pull = np.array([full * airframe.tilt_x[i], full * airframe.tilt_y[i], -thrust], np.float64)
         force += pull
         moment += mass * np.cross(place - center, pull)
-    force[2] -= (1 - float(airframe.lift_loss)) * c.k_h * (level @ level)
+        # The model's torque, k_r1 w, is in ``rest``; that of the propeller is c w^2.
+        linear, square = c.k_r1 * rpm[i], c.k_r1 / hover * rpm[i] ** 2
+        moment[2] += (-1) ** (i + 1) * float(airframe.torque_curve) * (square - linear)
+    missing = np.array([airframe.lift_loss, airframe.side_lift_loss], np.float64)
+    force[2] -= c.k_h * ((1 - missing) @ level[:2] ** 2)
     # Drag, damping and the moments of velocity and speeds are the model's.
     still = c.replace(k_w=0.0, k_h=0.0, k_p=0.0, k_q=0.0)
     v, w, zero = Vec3(*velocity), Rotors(*rpm), Rotors(*np.zeros(4))
@@ -69,7 +75,8 @@ def test_a_seed_draws_one_drone_within_the_ranges():
     assert again == drawn[4]
     losses = np.array([float(airframe.speed_loss) for airframe in drawn])
     low, high = ROUGH.airframe.speed_loss
-    assert low <= losses.min() < 0.3 * high and 0.7 * high < losses.max() <= high
+    ends = low + np.array([0.3, 0.7]) * (high - low)
+    assert low <= losses.min() < ends[0] and ends[1] < losses.max() <= high
     offsets = np.array([[airframe.offset_x, airframe.offset_y] for airframe in drawn])
     assert (np.abs(offsets) <= ROUGH.airframe.offset).all() and offsets.min() < 0 < offsets.max()
     assert draw_airframe(AirframeConfig(), 1) is None
