@@ -1,5 +1,6 @@
 """``quadjax evaluate``."""
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -164,8 +165,12 @@ def evaluate(
                 common |= {"actor": _fixed_point(*entry, range_ or ())}
             modes = (True,) if deterministic or fixed_point else (False, True)
             flights_of = [fly(*entry, deterministic=mean, **common) for mean in modes]
-            first, text = flights_of[0], joined(flights_of).table(format)
-            text = text.replace("deterministic", "fixed point, mean") if fixed_point else text
+            first, result = flights_of[0], joined(flights_of)
+            if fixed_point:
+                kind = result.row.condition.replace("deterministic", "fixed point, mean")
+                row = dataclasses.replace(result.row, condition=kind)
+                result = dataclasses.replace(result, rows=(row,))
+            text = result.table(format)
             text, record = text + (_offsets(first) if offsets else ""), first.to_json()
             _write(first, states, figures, animation, show)
         if json is not None:
