@@ -30,6 +30,7 @@ HASHES = 6  # of each number: 12 halves of 16 bits
 NOISE_BITS = 16  # of a standard deviation
 LARGEST = 6 * 0xFFFF  # |n|
 LARGEST_FACTOR = 2**31 - 1
+LARGEST_LOG_STD = 100.0  # beyond which no factor fits either, and whose exponential is finite
 TESTED = 64  # steps of the self-test
 
 
@@ -51,7 +52,7 @@ class NoiseTables:
         for number, factor in enumerate(factors):
             if not 0 <= factor <= LARGEST_FACTOR:
                 raise InputError(
-                    f"log_std {number}: a standard deviation of {factor} units of the command, "
+                    f"log_std {number}: a standard deviation of {factor:g} units of the command, "
                     f"allowed: 0 to {LARGEST_FACTOR}"
                 )
         steps = noise(factors, 0, TESTED)
@@ -72,8 +73,8 @@ def make_noise(policy: Policy, network: FixedNetwork) -> NoiseTables:
     Raises:
         InputError: a standard deviation that does not fit.
     """
-    deviation = np.exp(policy.log_std.astype(np.float64))
     half = 0.5 * (policy.command_high - policy.command_low)
+    deviation = np.exp(np.minimum(policy.log_std.astype(np.float64), LARGEST_LOG_STD))
     factors = tuple(round(x) for x in deviation * half * 2.0**network.fraction_bits)
     return NoiseTables.of(factors, policy.noise_on == "clipped_mean")
 
