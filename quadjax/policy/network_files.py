@@ -117,8 +117,8 @@ def _layers(path: Path | str, arrays: Arrays, names: tuple[re.Pattern[str], str]
         raise InputError(f"{path}: {min(others)} is not of a linear layer, expected only those")
     numbered: dict[str, np.ndarray] = {}
     for index, (name, bias) in enumerate(used.items()):
-        rows = arrays[bias].size if bias in arrays else 0
-        if not rows or arrays[name].size % rows:
+        rows, shape = arrays[bias].size if bias in arrays else 0, arrays[name].shape
+        if not rows or arrays[name].size % rows or shape[:-1] not in ((), (rows,)):  # flat in C
             raise InputError(f"{path}: {name} has no {bias} with a number for each of its rows")
         numbered[f"kernel_{index}"] = arrays[name].reshape(rows, -1).T
         numbered[f"bias_{index}"] = arrays[bias]
