@@ -241,7 +241,8 @@ def _converted(setting: Setting) -> Converted:
     """The policy of a setting as C: a folder's, or a file's without simulated flights."""
     if setting.source.is_dir():
         return read_folder(setting.source, setting.race)
-    options = Options(symbol_name(None, setting.source.name), target=setting.target)
+    name, named = symbol_name(None, setting.source.name), setting.race is not None
+    options = Options(name, target=setting.target, allow_other_race=named)
     return convert_file(setting.source, options, setting.race, rollouts=NOTHING)
 
 
