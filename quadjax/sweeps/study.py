@@ -6,6 +6,8 @@ parameters. Its folder has the number of its first attempt.
 """
 
 import contextlib
+import socket
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -54,6 +56,8 @@ def open_study(sweep: Sweep, directory: Path, slot: int | None = None) -> optuna
         )
         if slot is not None:  # another seed for each worker, and after each resumption
             seed = search.seed + slot + SLOTS * len(study.get_trials(deepcopy=False))
+            if sweep.file.storage != JOURNAL:  # other machines may begin at the same time
+                seed += zlib.crc32(socket.gethostname().encode()) % 2**30
             if search.method == "tpe":  # the liar keeps trials that run at the same time apart
                 study.sampler = TPESampler(
                     seed=seed,
