@@ -69,7 +69,7 @@ def test_it_trains_and_evaluates_in_an_empty_folder(installed, tmp_path):
     origin = laps["provenance"]
     assert laps["runs"] == 2 and origin["policy"]["file"] == "runs/first/policy.npz"
     assert origin["config"]["name"] == "e2e" and origin["quadjax"]
-    assert (tmp_path / "lap.png").stat().st_size > 1000
+    assert (tmp_path / "lap/trajectory.png").stat().st_size > 1000
 
 
 def test_it_exports_in_an_empty_folder(installed, tmp_path):
