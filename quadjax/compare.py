@@ -30,7 +30,7 @@ Report = Callable[[str], object]
 
 
 def check_policies(files: Mapping[str, Path]) -> None:
-    """Raise an ``InputError`` for policies, by the names of ``KINDS``, of another vehicle."""
+    """Raise an ``InputError`` for a policy of another vehicle than ``KINDS`` has for its name."""
     for name, file in files.items():
         vehicle = Policy.load(file).vehicle
         if vehicle != KINDS[name]:

@@ -38,7 +38,7 @@ def load_flights(
     logs: LogsConfig | None = None,
     progress: Callable[[str], None] = lambda line: None,
     report: Callable[[str], None] = lambda line: None,
-    **flown: Any,
+    **options: Any,
 ) -> list[Flight]:
     """Flights of one source.
 
@@ -51,7 +51,7 @@ def load_flights(
         logs: columns and frames of flight logs; None: those of a known format, by the header.
         progress: called with the policy that is simulated.
         report: called with a line of text for a policy that flies the race of a preset.
-        flown: arguments of ``quadjax.evaluate`` for policies; one run of the mean action if not
+        options: arguments of ``quadjax.evaluate`` for policies; one run of the mean action if not
             given.
 
     Raises:
@@ -71,7 +71,7 @@ def load_flights(
         is_policy = meta["format"] in POLICY_FORMATS
     if is_policy:
         progress(f"simulating {path}")
-        return fly(path, name, race, report, **flown)
+        return fly(path, name, race, report, **options)
     if path.suffix in LOGS:
         return [load_log(path, name, logs, None if race is None else race.track)]
     return files.load(path, () if race is None else race.track.gates, name)
@@ -93,7 +93,7 @@ def fly(
     name: str,
     race: Config | None = None,
     report: Callable[[str], None] = lambda line: None,
-    **flown: Any,
+    **options: Any,
 ) -> list[Flight]:
     """Flights of a policy file in its race, or in another one, and published lap times.
 
@@ -101,7 +101,7 @@ def fly(
     """
     policy = Policy.load(path)
     race, _ = race_of_policy(policy, path, race, report=report)
-    arguments = {"runs": 1, "deterministic": True} | flown
+    arguments = {"runs": 1, "deterministic": True} | options
     return evaluate(policy, race, name=str(path), **arguments).named_flights(name)
 
 

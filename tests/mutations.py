@@ -4,8 +4,8 @@
 
 For each fault, the file of tests that caught it in an earlier trial runs first, until a test fails,
 then the tests of its package, those of the surface, and the other folders one by one. The JSON file
-has a row for each fault, with the tests that it passed; the same command goes on where it was
-stopped, within a fault too.
+has a row for each fault, with the tests that passed; the same command resumes where it was stopped,
+also within a fault.
 """
 
 import argparse

@@ -66,7 +66,7 @@ def sil(
 
     The C of DIR, a folder of quadjax export, or that of a policy is compiled for
     this machine and runs as a separate process: the glue of the target's autopilot,
-    in a stand-in of its firmware. States go to it and commands come back over a
+    in a stand-in for its firmware. States go to it and commands come back over a
     socket. With --listen, your own autopilot connects instead; DIR may then also be
     a preset or a YAML file, whose race is flown. The drone is the stand-in plant,
     whose config key=value overrides change, or with --simulator the simulator that
@@ -167,6 +167,6 @@ def _source_of(source: Path) -> Path:
         report_of(source)
         return source
     raise InputError(
-        f"{source}: no folder of quadjax export, and no policy, allowed also: "
-        f"{', '.join(policy_names())}; an autopilot of your own needs --listen HOST:PORT"
+        f"{source}: neither a folder of quadjax export nor a policy, allowed also: "
+        f"{', '.join(policy_names())}; your own autopilot needs --listen HOST:PORT"
     )

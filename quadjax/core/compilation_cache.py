@@ -33,7 +33,7 @@ def enable_compilation_cache() -> None:
     owner = os.getuid() if hasattr(os, "getuid") else found.st_uid
     if found.st_uid != owner or found.st_mode & 0o022 or not os.access(folder, os.W_OK):
         return
-    # JAX writes no further entry next to one without its time, of a process that was killed.
+    # JAX writes no more entries next to one that has no time because its process was killed.
     times = {path.name.removesuffix("-atime") for path in folder.glob("*-atime")}
     for path in folder.glob("*-cache"):
         if path.name.removesuffix("-cache") not in times:

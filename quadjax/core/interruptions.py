@@ -46,25 +46,25 @@ def interruptions(message: bytes = STOPPING) -> Iterator[threading.Event]:
 
 @contextmanager
 def uninterrupted() -> Iterator[list[int]]:
-    """Hold Ctrl-C and SIGTERM back until the end of a short block, which is then whole.
+    """Defer Ctrl-C and SIGTERM to the end of a short block, so that it runs completely.
 
-    Yields the signals that have come.
+    Yields the signals received so far.
     """
-    asked: list[int] = []
+    received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield asked
+        yield received
         return
     before = {
-        number: signal.signal(number, lambda number, frame: asked.append(number))
+        number: signal.signal(number, lambda number, frame: received.append(number))
         for number in (signal.SIGINT, signal.SIGTERM)
     }
     try:
-        yield asked
+        yield received
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        if asked:
-            signal.raise_signal(asked[0])
+        if received:
+            signal.raise_signal(received[0])
 
 
 @contextmanager

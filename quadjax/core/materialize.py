@@ -85,11 +85,11 @@ def materializing(opaque_true: jax.Array, gradients: bool = False) -> Caller:
     """A ``Caller`` that computes ``function(*arguments)`` once, inside the conditional.
 
     As ``materialize(function(*arguments), opaque_true)``, without its copy of every value. The
-    functions that it calls are pure and closed over nothing that is traced.
+    functions that it calls must be pure and close over no traced value.
 
     Args:
         opaque_true: as of ``materialize``.
-        gradients: where gradients flow, it is exactly that; else it is ``function(*arguments)``.
+        gradients: where gradients flow, use ``materialize``; False: ``function(*arguments)``.
     """
 
     def call(function: Callable[..., Result], *arguments: Any) -> Result:

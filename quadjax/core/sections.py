@@ -80,7 +80,7 @@ def _rising(ends: tuple[float, float]) -> tuple[float, float]:
 
 
 ORDERED = AfterValidator(_ordered)  # of a pair: ``Annotated[tuple[float, float], ORDERED]``
-RISING = AfterValidator(_rising)  # the same of two different numbers
+RISING = AfterValidator(_rising)  # as ORDERED, of two different numbers
 
 
 @dataclasses.dataclass(frozen=True)

@@ -76,7 +76,7 @@ class Report:
     config: Config
 
     def table(self, format: Format = "text") -> str:
-        """Laps and total of each flight; the fastest of its group stands out."""
+        """Laps and total of each flight; the fastest of its group is highlighted."""
         return flights_table(self.groups).format(format)
 
     def boxes(self) -> Figure:
@@ -94,16 +94,16 @@ class Report:
     def errors(self, label: str) -> Figure:
         """Commands, limits and errors of the fastest flight of a group over time.
 
-        Of the rotors' speeds, or of body rates and thrust: the difference from the first-order
-        response to the commands, with the constants of the config's vehicle.
+        The signals are propeller speeds, or body rates and thrust. The error is the difference from
+        the first-order response to the commands, with the constants of the config's vehicle.
 
         Raises:
             InputError: the vehicle has no model of the commands of the group's fastest flight.
         """
-        found = fastest_responses(self.groups, self.config).get(label)
-        if found is None:
+        fastest = fastest_responses(self.groups, self.config).get(label)
+        if fastest is None:
             raise InputError(f"{label}: the vehicle has no model of its commands")
-        best, signals = found
+        best, signals = fastest
         gates = len(self.config.track.gates)
         return error_figure(best, signals, gates, f"{label}, {best.name}")
 
@@ -159,7 +159,7 @@ def box_figure(groups: Groups) -> Figure:
 def gap_figure(groups: Groups, gates: int) -> Figure:
     """Time behind the flight that is first at each gate, of all flights.
 
-    First among the flights that pass the most gates: one that crashed may have been ahead.
+    The first is that of the flights that pass the most gates: one that crashed may have been ahead.
 
     Args:
         groups: of flights.
@@ -220,7 +220,7 @@ class Response:
 def response(flight: Flight, vehicle: Vehicle) -> Response | None:
     """Propeller speeds, or body rates and specific thrust, with their commands.
 
-    None for a flight without such commands, or whose model the vehicle has no constants of.
+    None for a flight without such commands, or if the vehicle has no constants of its model.
     """
     commands = flight.signals.get("command")
     kind = "" if commands is None else MODELS.get(str(commands.by_unit()[0].unit), "")
@@ -239,15 +239,15 @@ def response(flight: Flight, vehicle: Vehicle) -> Response | None:
         high = np.append(rates, constants["thrust_max"])
         if parts[1].values.shape[1] != 1:  # rotor speeds of a log, and no thrust
             parts, low, high, command = parts[:1], low[:3], high[:3], command[:, :3]
-    actual = np.concatenate([part.values for part in parts], axis=1)
-    names = [label for part in parts for label in part.labels]
-    units = [str(part.unit) for part in parts for _ in range(part.values.shape[1])]
+    actual = np.concatenate([signal.values for signal in parts], axis=1)
+    names = [label for signal in parts for label in signal.labels]
+    units = [str(signal.unit) for signal in parts for _ in range(signal.values.shape[1])]
     lag = np.concatenate(
-        [[tau] * part.values.shape[1] for part, tau in zip(parts, lags, strict=False)]
+        [[tau] * signal.values.shape[1] for signal, tau in zip(parts, lags, strict=False)]
     )
-    wanted = np.clip(command, low, high)
+    clipped = np.clip(command, low, high)
     model = np.stack(
-        [first_order(wanted[:, i], actual[0, i], lag[i], step) for i in range(len(lag))], axis=1
+        [first_order(clipped[:, i], actual[0, i], lag[i], step) for i in range(len(lag))], axis=1
     )
     return Response(actual, command, model, low, high, names, units)
 

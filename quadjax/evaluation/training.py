@@ -134,10 +134,8 @@ def train_seeds(
     configs = configs_of(files, overrides)
     groups: dict[str, list[Path]] = {}
     for file, name in zip(files, configs, strict=True):
-        words = [[*overrides, f"seed={seed}", f"name={name}_seed{seed}"] for seed in seeds]
-        groups[name] = [
-            train_once(file, seed_overrides, output, overwrite) for seed_overrides in words
-        ]
+        changes = [[f"seed={seed}", f"name={name}_seed{seed}"] for seed in seeds]
+        groups[name] = [train_once(file, [*overrides, *x], output, overwrite) for x in changes]
     code = [name for config in configs.values() for name in names_of_code(config)]
     figure = figure or output / f"{'_and_'.join(configs)}_seeds.png"
     save_figure(learning_figure(groups, code), figure)
@@ -218,7 +216,7 @@ def evaluate_seed(
 def format_seeds(results: Sequence[tuple[dict[str, Any], Evaluation]]) -> str:
     """Markdown tables of training and of flights, one line per seed; see ``evaluate_seed``.
 
-    The published time is there only where there is one.
+    A published time is in the tables only if there is one.
     """
     reference = results[0][0]["reference"]
     columns = {k: c for k, c in COLUMNS.items() if reference or not k.startswith("first")}

@@ -153,7 +153,7 @@ def convert_file(
 
 
 def _check_rates(converted: Converted, sample_rate: float | None, cutoff: float | None) -> None:
-    """Refuse numbers of estimators that the policy has not."""
+    """Reject options of estimators that the policy does not have."""
     fixed = converted.fixed
     used = {"sample rate": fixed.estimator or fixed.battery, "cut-off": fixed.estimator}
     for (name, tables), value in zip(used.items(), (sample_rate, cutoff), strict=True):

@@ -1,4 +1,4 @@
-"""What the inner loop of an autopilot takes from a policy of rates and thrust: ``inner_loop.yaml``.
+"""What an inner loop needs of a policy that commands rates and thrust: ``inner_loop.yaml``.
 
 The commands in their order with units, limits and the scale to the autopilot's own integers; how
 often they come; the lags that the training assumes of the loop; and the airframe's numbers from
@@ -30,12 +30,12 @@ BFP_RATE, MAX_PPRZ = 4096, 9600  # INT32_RATE_FRAC of 12 bits, and the largest c
 COMMENTS = {
     "commands": """\
 In the order of quadjax_module_command or qj_pilot_step. scale: the autopilot's own integer is
-command times scale, rounded; none where it takes the unit itself.""",
+command times scale, rounded; none if it takes the command in its unit.""",
     "commands_hz": """\
 New commands come at this rate; null: at every call of the pilot. The policy was trained at
 training_hz.""",
     "response": """\
-First-order time constants, s, of rates and thrust that the training assumes of the loop.""",
+First-order time constants, s, of the response of rates and thrust in training.""",
     "airframe": """\
 SI, rpm. Rotors 1 front-left, 2 front-right, 3 rear-right, 4 rear-left; angular accelerations
 k_p/i_xx (w1^2 - w2^2 - w3^2 + w4^2), k_q/i_yy (w1^2 + w2^2 - w3^2 - w4^2) and
@@ -48,12 +48,12 @@ rpm_min to rpm_max: at hover and at the lowest and the highest command.""",
 
 
 def inner_loop(policy: FixedPolicy, own: OwnRace, target: Target) -> str | None:
-    """The file; None for a policy that commands no inner loop.
+    """The text of the file; None for a policy that commands no inner loop.
 
     Args:
-        policy: as integers.
+        policy: the fixed-point policy.
         own: its race, whose vehicle file has the airframe if it has the model ``motor``.
-        target: that the policy is exported for.
+        target: for which the policy is exported.
     """
     network = policy.network
     if network.model.name != MODEL:
@@ -93,7 +93,7 @@ def inner_loop(policy: FixedPolicy, own: OwnRace, target: Target) -> str | None:
             name: _throttle(thrust, motor, paparazzi) for name, thrust in thrusts.items()
         }
     head = (
-        f"# What the inner loop takes from {policy.name}, written by quadjax export. World "
+        f"# What the inner loop needs of {policy.name}, written by quadjax export. World "
         "north-east-down,\n# body forward-right-down. Docs: docs/guide/exporting.md of quadjax.\n"
     )
     return head + to_yaml(tree, COMMENTS)
@@ -108,7 +108,7 @@ def _throttle(thrust: float, motor: dict[str, float], paparazzi: bool) -> dict[s
     """The steady state of a specific thrust, m/s^2, with each rotor within its range."""
     lowest, highest = (motor[name] for name in RANGE)
     rpm = min(max((max(thrust, 0.0) / (4.0 * motor["k_w"])) ** 0.5, lowest), highest)
-    found: dict[str, float] = {"thrust": thrust, "rpm": round(rpm, 1)}
+    numbers: dict[str, float] = {"thrust": thrust, "rpm": round(rpm, 1)}
     if paparazzi:
-        found["pprz"] = round(MAX_PPRZ * (rpm - lowest) / (highest - lowest))
-    return found
+        numbers["pprz"] = round(MAX_PPRZ * (rpm - lowest) / (highest - lowest))
+    return numbers

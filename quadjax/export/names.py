@@ -39,10 +39,10 @@ def symbol_name(name: str | None, file: str) -> str:
 
 
 def check_new_folder(folder: Path, name: str, overwrite: bool) -> None:
-    """Reject a folder of other files, which an export would be mixed with, or of an export.
+    """Reject a folder with another export; without ``overwrite`` also with any export or files.
 
     Raises:
-        InputError: such a folder, and what replaces it.
+        InputError: such a folder; the message says what to do.
     """
     check_kind(folder, KIND)
     others = sorted(path.name for path in folder.glob("*")) if folder.is_dir() else []
@@ -69,7 +69,7 @@ def report_of(folder: Path) -> Path:
     """The report in an exported folder.
 
     Raises:
-        InputError: no such folder, or one that is no whole export.
+        InputError: no such folder, or one that is no complete export.
     """
     check_kind(folder, KIND)
     if not folder.is_dir():

@@ -1,4 +1,4 @@
-"""The noise of a policy that samples its actions on board, integer for integer as in the C.
+"""The noise of a policy that samples its actions on board, with the same integers as the C.
 
 A policy of the paper is a normal distribution around the network's output, whose samples are
 clipped to the command range. In units of a command's last bit a sample is::
@@ -7,12 +7,12 @@ clipped to the command range. In units of a command's last bit a sample is::
 
 with the output's accumulator ``sum`` (its first term clipped too if the policy was trained so,
 ``noise_on: clipped_mean`` of its file) and ``n`` the sum of 12 uniform integers of 16 bits less its
-mean. ``n / 2**16`` has a mean of 0 and a variance of 1 (to 2e-10), lies within 6, has an excess
+mean. ``n / 2**16`` has a mean of 0 and a variance of 1 (to 2e-10), is within 6, has an excess
 kurtosis of -0.1, and its distribution function differs from the normal one by at most 0.0023.
 
 The bits are hashes of a counter (lowbias32 of C. Wellons' hash-prospector, a bijection of 32 bits)
 that steps by 2**32 over the golden ratio: any number is a seed, and nothing branches on data. A
-step takes 24 of the 2**32 numbers of the sequence, so that it repeats after four days at 512 Hz.
+step takes 24 of the 2**32 numbers of the sequence, so it repeats after four days at 512 Hz.
 """
 
 import dataclasses
@@ -92,12 +92,12 @@ def noise(factors: tuple[int, ...], counter: int, steps: int) -> np.ndarray:
 
 
 def advanced(counter: int, steps: int, commands: int) -> int:
-    """The counter after steps."""
+    """The counter after a number of steps."""
     return (counter + steps * commands * HASHES * STEP) % 2**32
 
 
 def sample(network: FixedNetwork, tables: NoiseTables, q: np.ndarray, counter: int) -> np.ndarray:
-    """Sampled commands (n, commands) int32 of integer inputs (n, inputs), a step each."""
+    """Sampled commands (n, commands) int32 of integer inputs (n, inputs), one step per row."""
     sums = forward_traced(network, q)[1][-1] >> network.output_shift
     low, high = network.command_low, network.command_high
     mean = np.clip(sums, low, high) if tables.on_clamped else sums

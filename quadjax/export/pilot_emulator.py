@@ -1,4 +1,4 @@
-"""The pilot of the C in NumPy: the commands along the calls of an autopilot's glue."""
+"""The pilot of the C in NumPy: its commands at each call by an autopilot's glue."""
 
 import numpy as np
 
@@ -15,15 +15,15 @@ class PilotEmulator:
     """A policy with its estimators and its clock of steps; one step is a whole number of calls.
 
     Attributes:
-        command: (4,) float32 that acts.
+        command: (4,) float32, the command in effect.
     """
 
     def __init__(self, policy: FixedPolicy, calls: int) -> None:
-        """Nothing has been called yet.
+        """Start before the first call.
 
         Args:
-            policy: as integers.
-            calls: in a step of the policy; 1: every call is a step.
+            policy: the fixed-point policy.
+            calls: number of calls per step of the policy.
         """
         self._policy, self._calls, self._number = policy, calls, 0
         self._filters: Filters | None = None
@@ -33,7 +33,7 @@ class PilotEmulator:
         self.reset()
 
     def reset(self) -> None:
-        """The next call starts a race; the estimators go on."""
+        """The next call starts a race; the estimators continue."""
         network = self._policy.network
         middle = (network.command_low + network.command_high) * 0.5**network.fraction_bits
         self.command: np.ndarray = (0.5 * middle).astype(np.float32)
@@ -83,6 +83,6 @@ class PilotEmulator:
         if noise := self._policy.noise:
             command = sample(network, noise, q, self._counter)[0].astype(np.int64)
             self._counter = advanced(self._counter, 1, len(command))
-        if network.model.commands[0].name == "rpm":  # whole ones
+        if network.model.commands[0].name == "rpm":  # whole rpm
             command, bits = round_shift(command, bits), 0
         self.command = command.astype(np.float32) * np.float32(0.5**bits)

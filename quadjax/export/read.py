@@ -250,9 +250,9 @@ class _Reader:
 
     def noise(self) -> NoiseTables:
         """The noise of a policy that samples."""
-        own = self.take(STRUCTS["noise"], 1)[0]
-        on_clamped = bool(own["on_clamped"])
-        return NoiseTables(tuple(own["factor"].tolist()), on_clamped, int(own["digest"]))
+        section = self.take(STRUCTS["noise"], 1)[0]
+        on_clamped = bool(section["on_clamped"])
+        return NoiseTables(tuple(section["factor"].tolist()), on_clamped, int(section["digest"]))
 
     def cases(self, header: np.ndarray) -> Cases:
         """The self-tests."""

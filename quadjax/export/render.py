@@ -1,4 +1,4 @@
-"""The headers of an export: the policy as a table in C, its sizes, what the glue knows."""
+"""The headers of an export: the policy as a table in C, its sizes, what the glue needs."""
 
 import textwrap
 from collections.abc import Iterable
@@ -106,7 +106,7 @@ def call_frequency(policy: FixedPolicy) -> int:
 
 
 def glue_header(policy: FixedPolicy, own: OwnRace) -> str:
-    """``quadjax_policy.h``: what the glue of an autopilot knows of its policy."""
+    """``quadjax_policy.h``: what the glue of an autopilot needs of its policy."""
     track = own.params.track
     drone = episode.hover_start(own.choices, own.params).drone
 

@@ -1,4 +1,4 @@
-"""What is proven and measured of an export, as JSON and as text."""
+"""What is proven and measured about an export, as JSON and as text."""
 
 import dataclasses
 import hashlib
@@ -29,7 +29,7 @@ def float64_commands(policy: Policy, observations: np.ndarray) -> np.ndarray:
 
 
 def make_report(converted: Converted) -> Json:
-    """Proven bounds and measurements as JSON takes them; ``verify`` reads the options from it."""
+    """Proven bounds and measurements, as a JSON value; ``verify`` reads the options from it."""
     fixed, rollouts = converted.fixed, converted.rollouts
     assert rollouts is not None and rollouts.laps is not None
     laps = rollouts.laps
@@ -85,7 +85,7 @@ def make_report(converted: Converted) -> Json:
 
 
 def _layer(converted: Converted, index: int) -> Json:
-    """What is proven of a layer."""
+    """What is proven about a layer."""
     ranges, hidden = converted.proof.layers[index], index < len(converted.fixed.network.hidden)
     outputs = [max(0, high >> WORD) for high in ranges.high]
     return {
@@ -140,7 +140,7 @@ def _lines(r: Json, name: str) -> Iterator[str]:
         yield "Estimate of the highest rpm, for every input: {:g} .. {:g} rpm\n".format(*ends)
     if noise := r.get("noise"):
         deviation = _short(noise["standard_deviation"])
-        yield f"Sampled: noise of standard deviation {deviation} {r['unit']}, at most 6 of them\n"
+        yield f"Sampled: noise of standard deviation {deviation} {r['unit']}, within 6 deviations\n"
     low, high = min(r["command_low"]), max(r["command_high"])
     yield f"Commands, for every input: {low:g} .. {high:g} {r['unit']}".rstrip()
     flown = r["flights"]

@@ -50,7 +50,7 @@ def kind_of(model: str) -> int:
 
 
 def observed_fields(race: RaceTables) -> set[str]:
-    """The fields of the state that an observation is computed from, but for those seen as zero."""
+    """The fields of the state from which an observation is computed, without those seen as zero."""
     sources = {
         source
         for part in race.inputs

@@ -94,12 +94,12 @@ class FixedPolicy:
 
     @property
     def actions(self) -> str:
-        """How its actions are chosen, for texts."""
+        """How its actions are chosen, as text."""
         return "deterministic (mean)" if self.noise is None else "sampled"
 
     @property
     def version(self) -> int:
-        """Of the format of its words."""
+        """Version of the format of its words."""
         return VERSION if self.noise is None else SAMPLED_VERSION
 
 

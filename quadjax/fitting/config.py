@@ -224,7 +224,7 @@ def with_body(base: VehicleFile, body: BodyConfig, model: str = "motor") -> Vehi
 
 
 def check_keys(config: FitConfig, model: str, split_by: str) -> None:
-    """Refuse keys without effect, with a split by "flight" or "time".
+    """Reject keys without effect, with a split by "flight" or "time".
 
     Raises:
         InputError: naming the key, its value, the reason and what is allowed.

@@ -48,8 +48,8 @@ def log_flight(path: Path | str, quantities: Quantities, **source: Any) -> Fligh
     """A flight of the quantities of a log, without gates.
 
     Its signals are "position", "velocity", "attitude", "rates", and those of ``SIGNALS`` that the
-    log has: "command" and "actuators" are propeller speeds. Without a position or an attitude it is
-    NaN, and without an attitude the velocity is the derivative of the position.
+    log has: "command" and "actuators" are propeller speeds. A missing position or attitude is NaN.
+    Without an attitude the velocity is the derivative of the position.
 
     Args:
         path: of the log, whose stem is the name of the flight.

@@ -68,13 +68,13 @@ def airframe_force_moment(
     """What the deviations add to the nominal specific force, m/s^2, and moment, N m, body frame.
 
     A rotor lacks a fraction of the thrust ``k_w w^2`` of the model: a constant one; one that grows
-    with the square of its speed from none at the hover, as of blades that bend; and one in the wake
-    of the others, from none for the foremost to all for the rearmost rotor. The wakes reach the
-    rotors behind as far as the drone's speed sweeps them back, ``V^2 / (V^2 + v_i^2)`` with the
+    with the square of its speed from none at the hover, as for blades that bend; and one in the
+    wake of the others, from none for the foremost to all for the rearmost rotor. The wakes reach
+    the rotors behind as far as the drone's speed sweeps them back, ``V^2 / (V^2 + v_i^2)`` with the
     induced velocity of the hover (Leishman, "Principles of helicopter aerodynamics", 2006, section
     2.14). Translational lift, ``k_h``, differs along the body's axes. The torque of a propeller
-    grows with the square of its speed (the same, section 2.2), that of the model linearly; both
-    are equal at the hover. Rotors whose axes are not parallel pull to the sides and turn the drone;
+    grows with the square of its speed (the same, section 2.2), that of the model linearly; both are
+    equal at the hover. Rotors whose axes are not parallel pull to the sides and turn the drone;
     with a center of gravity off the middle, the arms of some rotors are shorter.
 
     Args:

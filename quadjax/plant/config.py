@@ -79,7 +79,7 @@ class AirframeConfig(Section):
 
     speed_loss: Range = Field(
         (0.0, 0.0),
-        description="of the thrust, per square of the speed above that of hover over rpm_max's",
+        description="fraction of a rotor's thrust that is lost per (w^2 - w_hover^2) / rpm_max^2",
     )
     torque_curve: Range = Field(
         (0.0, 0.0), description="fraction of a rotor's torque that is quadratic in its speed"
@@ -88,7 +88,9 @@ class AirframeConfig(Section):
     lift_loss: Deviations = Field(
         (0.0, 0.0), description="fraction of k_h that is missing in flight along body x"
     )
-    side_lift_loss: Deviations = Field((0.0, 0.0), description="the same along body y")
+    side_lift_loss: Deviations = Field(
+        (0.0, 0.0), description="fraction of k_h that is missing in flight along body y"
+    )
     wake_loss: Range = Field(
         (0.0, 0.0), description="fraction of its thrust that a rotor loses behind the others"
     )

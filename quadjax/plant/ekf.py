@@ -316,7 +316,7 @@ def _innovation(
 
 
 def estimate(params: EkfParams, state: EkfState) -> tuple[MotionEstimate, Vec3]:
-    """The present motion and body rates, rad/s, of one drone.
+    """The current motion and body rates, rad/s, of one drone.
 
     The motion is the delayed estimate predicted over the buffered samples. Rates and the last
     specific force are the newest sample, extrapolated by the low-pass's delay along the last

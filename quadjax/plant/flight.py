@@ -159,8 +159,8 @@ def remember(plan: Plan, before: Drones, drones: Drones, action: jax.Array) -> D
     state = before.race.state
     known = state.replace(drone=_known_motion(plan, before.onboard))
     past = push_past(state.past, known)
-    given = None if state.action is None else clipped_action(action)
-    after = drones.race.state.replace(past=past, action=given)
+    clipped = None if state.action is None else clipped_action(action)
+    after = drones.race.state.replace(past=past, action=clipped)
     return drones.replace(race=drones.race.replace(state=after))
 
 

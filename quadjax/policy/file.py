@@ -258,18 +258,18 @@ def layout_of_release_1(
     if meta["vehicle"] not in MODELS:
         raise InputError(f"{path}: meta: vehicle is {meta['vehicle']!r}, allowed: {list(MODELS)}")
     model = MODELS[meta["vehicle"]]
-    seen = validate(Release1, meta.get("observation") or {}, f"{path}: meta", "observation.")
+    release1 = validate(Release1, meta.get("observation") or {}, f"{path}: meta", "observation.")
     actuators = tuple(zip(low.tolist(), high.tolist(), strict=True))[-model.actuators.size :]
 
     def with_span(field: ObservedField) -> ObservedField:
         span = actuators if field.name == model.actuators.name else field.span
-        if field.name in DISTURBANCES and seen.disturbance is not None:
-            half = [seen.disturbance.get(name, 0.0) for name in DISTURBANCES[field.name]]
+        if field.name in DISTURBANCES and release1.disturbance is not None:
+            half = [release1.disturbance.get(name, 0.0) for name in DISTURBANCES[field.name]]
             span = tuple((-width, width) for width in half)
         return dataclasses.replace(field, value=None, span=span)
 
-    source = SOURCES[seen.disturbance_input]
-    observed = Observation(disturbance=source, wrap_next_yaw=seen.wrap_next_yaw)
+    source = SOURCES[release1.disturbance_input]
+    observed = Observation(disturbance=source, wrap_next_yaw=release1.wrap_next_yaw)
     return Layout(tuple(with_span(field) for field in make_layout(model, observed).fields))
 
 

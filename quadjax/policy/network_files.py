@@ -114,7 +114,9 @@ def _layers(path: Path | str, arrays: Arrays, names: tuple[re.Pattern[str], str]
     matches = [match for match in map(weights.fullmatch, arrays) if match]
     used = {match[0]: match.expand(biases) for match in matches}
     if others := set(arrays) - {*used, *used.values()}:
-        raise InputError(f"{path}: {min(others)} is not of a linear layer, expected only those")
+        raise InputError(
+            f"{path}: {min(others)} is not of a linear layer, expected only linear layers"
+        )
     numbered: dict[str, np.ndarray] = {}
     for index, (name, bias) in enumerate(used.items()):
         rows, shape = arrays[bias].size if bias in arrays else 0, arrays[name].shape

@@ -51,7 +51,7 @@ class History(Section):
 
     @property
     def lags(self) -> tuple[int, ...]:
-        """How many steps before each of the values is, the latest first."""
+        """Age in steps of each earlier value, the latest first."""
         return tuple(self.every * (i + 1) for i in range(self.steps))
 
 

@@ -216,7 +216,7 @@ def loses_attitude(step: Step) -> jax.Array | None:
 
 
 class Termination(NamedTuple):
-    """What ends an episode as a crash, and what to change where most flights of a training do."""
+    """What ends an episode as a crash, and what to change if most flights of a training end so."""
 
     applies: Callable[[Step], jax.Array | None]  # None where the race has no such rule
     advice: str = ""

@@ -70,8 +70,8 @@ class Setting:
     """What flies, on what, and how.
 
     Attributes:
-        source: folder of ``quadjax export``, or a policy file; without a process of ours a folder
-            or a config.
+        source: folder of ``quadjax export``, or a policy file; with ``listen`` a folder or a
+            config.
         plant: the stand-in plant; None: the simulator of the race.
         listen: address at which a user's autopilot connects; None: the exported C is started.
         laps: of a race; ``evaluate.laps`` of the config if not given.

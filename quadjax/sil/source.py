@@ -1,4 +1,4 @@
-"""The exported C of a policy behind the messages, compiled for this machine."""
+"""The exported C of a policy, compiled for this machine and called by messages."""
 
 import subprocess
 import sys
@@ -21,13 +21,13 @@ FUNCTIONS = [  # of sil.c
     "void sil_begin(void);             /* a race begins with the next state */",
     "void sil_step(const sil_state *from, sil_command *to);",
 ]
-SAME_LOOP = 0.03  # by which the rates of a plant's and an autopilot's loop may differ
+SAME_LOOP = 0.03  # largest relative difference of the loop rates of plant and autopilot
 
 
 def at_rate(plant: PlantConfig, sources: Sources) -> PlantConfig:
-    """The plant with the loop of an autopilot, where that is about as fast.
+    """The plant at the loop rate of an autopilot, if the two differ by at most ``SAME_LOOP``.
 
-    The estimators and filters of the C are for the rate of its calls.
+    The estimators and filters of the C are made for the rate of its calls.
     """
     ratio = 1e9 / sources.call_ns / plant.control_rate
     if abs(ratio - 1.0) > SAME_LOOP or ratio == 1.0:
@@ -39,10 +39,10 @@ def at_rate(plant: PlantConfig, sources: Sources) -> PlantConfig:
 def build(
     converted: Converted, sources: Sources, rate: float, shared: bool = False
 ) -> tuple[Path, str]:
-    """Compile the C that the target flies: with its glue in a stand-in of its firmware.
+    """Compile the C that the target flies: with its glue in a stand-in for its firmware.
 
-    The glue is called at its own rate, or the nearest that has a whole number of calls for every
-    message or of messages for every call. Firmware without glue calls the pilot at every message.
+    The glue is called at its own rate, or the nearest with a whole number of calls per message, or
+    of messages per call. Firmware without glue calls the pilot at every message.
 
     Args:
         converted: the policy.
@@ -77,7 +77,7 @@ def build(
 
 
 def label_of(program: Path, name: str) -> str:
-    """The name of an autopilot that is built, for the table.
+    """The label of an autopilot's program, for the table.
 
     Raises:
         InputError: its glue or its pilot refuses the policy.
@@ -92,7 +92,7 @@ def header_text(functions: bool = False) -> str:
     """The messages as a C header, for autopilots in C.
 
     Args:
-        functions: also declare those of the exported C behind the messages.
+        functions: also declare the functions that the messages call.
     """
     structs: list[tuple[str, Fields]] = [("header", HEADER_FIELDS)]
     structs += [(kind.name.lower(), fields) for kind, fields in PAYLOADS.items() if fields]

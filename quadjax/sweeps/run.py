@@ -23,12 +23,12 @@ from quadjax.sweeps.schema import JOURNAL
 from quadjax.sweeps.study import (
     Retry,
     State,
-    left,
     number_of,
     open_study,
     progress,
     retry_running,
     storage_errors,
+    trials_left,
     trials_over,
 )
 from quadjax.sweeps.sweep import Params, Sweep
@@ -57,8 +57,8 @@ def train_and_fly(
     from quadjax.training.run import train
 
     run = (f"name=trial{folder.parent.name}", "run.devices=1", f"seed={seed}")
-    config, asked = sweep.config_of(params, *run), sweep.file.objective
-    race = sweep.config_of(params, *run, *sweep.conditions) if asked.plant is None else config
+    config, settings = sweep.config_of(params, *run), sweep.file.objective
+    race = sweep.config_of(params, *run, *sweep.conditions) if settings.plant is None else config
     track, laps = make_params(config).track, config.evaluate
     limit = time_limit(track, race_length(track, laps.laps, laps.gates))
 
@@ -71,15 +71,15 @@ def train_and_fly(
     except NonFiniteError:
         return limit, 0.0
     result = evaluate(
-        folder / ("policy.npz" if asked.policy == "best" else "policy_last.npz"),
+        folder / ("policy.npz" if settings.policy == "best" else "policy_last.npz"),
         race,
-        plant=asked.plant,
-        plants=None if asked.plant is None else asked.plants,
-        runs=asked.runs,
-        deterministic=asked.deterministic,
+        plant=settings.plant,
+        plants=None if settings.plant is None else settings.plants,
+        runs=settings.runs,
+        deterministic=settings.deterministic,
         seed=FLIGHT_SEED,
     )
-    return result.laps.penalized, result.finished / asked.runs
+    return result.laps.penalized, result.finished / settings.runs
 
 
 def objective(
@@ -142,7 +142,7 @@ def work(sweep: Sweep, directory: Path, measure: Measure, end: float, slot: int,
             if trial.state == State.FAIL and "error" not in trial.user_attrs:
                 Retry()(study, trial)
 
-        while not stop.is_set() and time.time() < end and left(study, sweep):
+        while not stop.is_set() and time.time() < end and trials_left(study, sweep):
             study.optimize(run_one, n_trials=1, catch=TrialStopped, callbacks=[after])
 
 
@@ -169,7 +169,7 @@ def run_sweep(
                 text += f", about {datetime.timedelta(seconds=round(rest))} left" if rest else ""
                 print(text, file=sys.stderr, flush=True)
             room = min(workers.count, sweep.trials - over)
-            for slot in range(workers.count if left(study, sweep) and not ends else 0):
+            for slot in range(workers.count if trials_left(study, sweep) and not ends else 0):
                 if slot not in running and len(running) < room:
                     name = uuid.uuid4().hex
                     running[slot] = name, workers.start(slot, work, *arguments, slot, name)

@@ -23,7 +23,7 @@ from quadjax.sweeps.sweep import Sweep
 
 FILE, DRIVER = "study.journal", "postgresql+psycopg://"
 SLOTS = 4099  # workers, at most
-HEARTBEAT, GRACE = 15, 60  # s, of the trials in a database; after GRACE one is taken for dead
+HEARTBEAT, GRACE = 15, 60  # s, in a database: a trial without one for GRACE counts as dead
 State = optuna.trial.TrialState
 OVER = (State.COMPLETE, State.PRUNED, State.FAIL)
 Retry = optuna.storages.RetryHeartbeatStaleTrialCallback  # queues a failed trial again
@@ -58,7 +58,7 @@ def open_study(sweep: Sweep, directory: Path, slot: int | None = None) -> optuna
             seed = search.seed + slot + SLOTS * len(study.get_trials(deepcopy=False))
             if sweep.file.storage != JOURNAL:  # other machines may begin at the same time
                 seed += zlib.crc32(socket.gethostname().encode()) % 2**30
-            if search.method == "tpe":  # the liar keeps trials that run at the same time apart
+            if search.method == "tpe":  # constant_liar keeps concurrent trials apart
                 study.sampler = TPESampler(
                     seed=seed,
                     n_startup_trials=search.startup,
@@ -75,8 +75,8 @@ def open_study(sweep: Sweep, directory: Path, slot: int | None = None) -> optuna
             if before.get(key) != wanted.get(key):
                 change = f"{key} was {before.get(key)}, is {wanted.get(key)}"
                 hint = "choose another name=NAME, or start over with --overwrite"
-                other = f"the study {sweep.file.name} is of another sweep"
-                raise InputError(f"{other}: {change}; {hint}")
+                problem = f"the study {sweep.file.name} is of another sweep"
+                raise InputError(f"{problem}: {change}; {hint}")
         if "definition" not in study.user_attrs:
             study.set_user_attr("definition", wanted)
             if search.base_first:
@@ -124,15 +124,17 @@ def delete_study(sweep: Sweep, directory: Path) -> None:
             optuna.delete_study(study_name=sweep.file.name, storage=storage)
 
 
-def retry_running(study: optuna.Study, most: int | None = None, worker: str | None = None) -> None:
+def retry_running(
+    study: optuna.Study, max_retries: int | None = None, worker: str | None = None
+) -> None:
     """Fail the running trials of a worker, or of all, and queue them again.
 
-    Those that were queued again ``most`` times are given up.
+    Trials that were queued again ``max_retries`` times are not queued again.
     """
     for trial in study.get_trials(states=(State.RUNNING,)):
         if worker in (None, trial.user_attrs.get("worker")):
             study.tell(trial.number, state=State.FAIL)
-            Retry(most)(study, trial)
+            Retry(max_retries)(study, trial)
 
 
 def number_of(trial: FrozenTrial) -> int:
@@ -148,14 +150,14 @@ def trials_over(study: optuna.Study) -> list[FrozenTrial]:
     return [t for t in trials if t.state in OVER and t.number not in again]
 
 
-def left(study: optuna.Study, sweep: Sweep) -> int:
+def trials_left(study: optuna.Study, sweep: Sweep) -> int:
     """The number of trials of the budget that no worker has begun."""
     running = study.get_trials(deepcopy=False, states=(State.RUNNING,))
     return max(0, sweep.trials - len(running) - len(trials_over(study)))
 
 
 def progress(study: optuna.Study, sweep: Sweep) -> str:
-    """Trials that are over, of all, and the shortest lap time of those that finished a flight."""
+    """How many trials are over, and the shortest lap time of those that finished a flight."""
     trials = trials_over(study)
     values = [t.values[0] for t in trials if t.values and t.user_attrs["finished"]]
     failed = sum(t.state == State.FAIL for t in trials)

@@ -127,8 +127,10 @@ def load_sweep(path: Path | str, changes: Sequence[str] = ()) -> Sweep:
     with prefixed(str(path)):
         name, *parts = file.config.split(" +")
         base = find_file(name, [path.parent])
-        words = [f"+{part}" for part in parts]
-        overrides = (*words, *(override(*item) for item in file.overrides.items()))
+        overrides = (
+            *(f"+{part}" for part in parts),
+            *(override(*item) for item in file.overrides.items()),
+        )
         config, space, race = load_config(base, overrides), {}, {}
         for key, values in file.space.items():
             with prefixed(f"space.{key}"):

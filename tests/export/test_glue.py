@@ -1,4 +1,4 @@
-"""The glue of every autopilot in a stand-in of its firmware: commands, refusals, what it loses."""
+"""The glue of every autopilot in a stand-in for its firmware: commands, refusals, lost signals."""
 
 import contextlib
 import ctypes
@@ -210,7 +210,7 @@ def test_the_calls_have_the_rate_of_the_export(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_users_folder_stays_beside_an_export(tmp_path):
+def test_a_users_folder_stays_next_to_an_export(tmp_path):
     policy, _ = made("published racing")
     policy.save(tmp_path / "policy.npz")
     out, own = tmp_path / "out", tmp_path / "out/c/mine.c"

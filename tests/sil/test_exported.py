@@ -168,7 +168,7 @@ def test_a_policy_of_earlier_steps_keeps_its_steps_at_another_rate(tmp_path):
 
 
 BAD = {
-    "none": "none: no folder of quadjax export, and no policy, allowed also: e2e",
+    "none": "none: neither a folder of quadjax export nor a policy, allowed also: e2e",
     "made/made.qjp": "made: expected one *_report.json",
     ".": "expected one *_report.json",
     "no_c": "expected one *_report.json",
@@ -209,7 +209,7 @@ WRONG_NAMES = {  # of export, verify and sil
     ("verify", "none.qjp"): "none.qjp: no such file",
     ("verify", "."): "expected one *_report.json",
     ("sil", ""): "'', allowed: the name of a folder",
-    ("sil", "none"): "none: no folder of quadjax export",
+    ("sil", "none"): "none: neither a folder of quadjax export nor a policy",
 }
 
 

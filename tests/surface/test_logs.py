@@ -1,4 +1,4 @@
-"""Flight logs: a known model is fitted, faulty columns are refused."""
+"""Flight logs: a known model is fitted, faulty columns are rejected."""
 
 import csv
 import itertools

@@ -15,7 +15,7 @@ from quadjax.core.yaml_files import parse_yaml, to_yaml
 from quadjax.race.laps import Laps
 from quadjax.sweeps.report import write_report
 from quadjax.sweeps.run import TrialStopped, objective, train_and_fly
-from quadjax.sweeps.study import FILE, State, left, open_study
+from quadjax.sweeps.study import FILE, State, open_study, trials_left
 from quadjax.sweeps.sweep import load_sweep
 from tests.commands import run
 from tests.sweeps.stand_in import CLIP, RATE, ROOT, TINY, complete, open_small, sweep_file, value_of
@@ -131,9 +131,9 @@ def test_the_base_is_a_preset_or_a_file_and_every_trial_is_evaluated_in_its_race
 
 def test_a_study_takes_only_its_own_sweep_and_damage_is_one_line(tmp_path):
     sweep, directory, study = open_small(tmp_path)
-    assert left(study, sweep) == 4
+    assert trials_left(study, sweep) == 4
     larger, _, study = open_small(tmp_path, "budget.trials=6")
-    assert left(study, larger) == 6
+    assert trials_left(study, larger) == 6
     for change, message in (
         ("objective.seeds=2", r"objective.seeds was 1, is 2"),
         (f"space.{CLIP}.range=[0.1,0.4]", r"space.learner.clip_range was .*0.3.* is .*0.4"),
@@ -173,7 +173,7 @@ def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_trial_is_judged_on_drawn_plants(tmp_path, monkeypatch):
+def test_a_trial_is_evaluated_on_drawn_plants(tmp_path, monkeypatch):
     flown = []
 
     def fly(policy, race, *, plant, plants, runs, **_):
@@ -261,7 +261,7 @@ def test_the_samplers_of_optuna(tmp_path, method):
     kind = {"tpe": "TPESampler", "random": "RandomSampler", "grid": "GridSampler"}[method]
     assert isinstance(study.sampler, getattr(optuna.samplers, kind))
     points = [tuple(trial.params.values()) for trial in study.trials]
-    assert len(points) == 6 and left(study, sweep) == 0
+    assert len(points) == 6 and trials_left(study, sweep) == 0
     assert points[0] == (0.2, 1) if method != "grid" else len(set(points)) == 6
 
 

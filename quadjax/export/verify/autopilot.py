@@ -1,4 +1,4 @@
-"""The glue of an autopilot in a stand-in of its firmware, on this machine."""
+"""The glue of an autopilot in a stand-in for its firmware, on this machine."""
 
 import ctypes
 import dataclasses
@@ -25,14 +25,14 @@ GLUE_STEPS, GLUE_TOLERANCE = 50, 2e-5  # of a command's range: an autopilot has 
 def build_autopilot(
     sources: Sources, output: Path, others: Sequence[Path] = (), options: Sequence[str] = ()
 ) -> Path:
-    """Build the glue of a target, in a stand-in of its firmware, for this machine.
+    """Build the glue of a target, in a stand-in for its firmware, for this machine.
 
     Multiplications are not fused, so that every machine computes the same.
 
     Args:
         sources: the C.
         output: the program, or a library (.so) whose functions are those of ``firmware.h``.
-        others: more C.
+        others: further C files.
         options: of the compiler.
     """
     files, of_glue = sources.autopilot()
@@ -49,11 +49,11 @@ def build_autopilot(
 
 
 class Autopilot:
-    """The glue of a target with its policy, in a stand-in of its firmware, on this machine.
+    """The glue of a target with its policy, in a stand-in for its firmware, on this machine.
 
     Attributes:
         wrong: why the policy does not fly; None if it does.
-        armed: whether the autopilot let anybody arm at the last call.
+        armed: whether the autopilot allowed arming at the last call.
     """
 
     def __init__(self, sources: Sources, work: Path, options: Sequence[str] = ()) -> None:
@@ -65,7 +65,7 @@ class Autopilot:
         self.armed = False
 
     def call(self, vehicle: np.ndarray, flies: bool = True) -> np.ndarray:
-        """The command (4,) float32 by place, in a call at the time of a ``VEHICLE`` (1,).
+        """Call the glue at the time of a ``VEHICLE`` (1,); returns the command (4,) float32.
 
         ``flies``: whether the mode of the policy is on.
         """
@@ -76,7 +76,7 @@ class Autopilot:
         return command
 
     def value(self, name: str, kind: type) -> Any:
-        """A variable of the stand-in, of a type of ctypes."""
+        """A variable of the stand-in, as a type of ctypes."""
         return kind.in_dll(self._library, name)
 
 
@@ -103,25 +103,25 @@ def compare_glue(sources: Sources, policy: FixedPolicy, work: Path) -> str:
         apart = np.abs(glue.call(row).astype(np.float64) - emulated.call(row[0]))
         worst = max(worst, float(np.max(apart / span)))
         require(worst <= GLUE_TOLERANCE, f"call {number}: {worst:.2g} of a command's range apart")
-    require(glue.armed, "the autopilot does not let anybody arm")
+    require(glue.armed, "the autopilot does not allow arming")
     return (
-        f"{GLUE_STEPS} steps through the glue of {target.autopilot}, in a stand-in of its "
+        f"{GLUE_STEPS} steps through the glue of {target.autopilot}, in a stand-in for its "
         f"firmware: within {worst:.1g} of a command's range of NumPy"
     )
 
 
 def random_vehicles(policy: FixedPolicy, count: int) -> np.ndarray:
-    """Flying drones (count,) of ``VEHICLE``, in numbers that every autopilot represents."""
-    rng, found = np.random.default_rng(1), np.zeros(count, VEHICLE)
+    """States (count,) of ``VEHICLE`` in flight, in numbers that every autopilot represents."""
+    rng, vehicles = np.random.default_rng(1), np.zeros(count, VEHICLE)
     for name in ("position", "velocity", "rates", "body_velocity"):
-        found[name] = rng.uniform(-1.0, 1.0, (count, 3))
-    found["gyro"] = found["rates"]
-    found["euler"] = rng.uniform(-1.0, 1.0, (count, 3))
-    turned = quaternion.of_euler(Vec3(*found["euler"].astype(np.float64).T))
-    found["quaternion"] = np.stack([np.asarray(x) for x in jax.tree.leaves(turned)], axis=1)
-    found["rpm"] = np.rint(rng.uniform(3000.0, 10_000.0, (count, 4)))
-    found["rotor_speed"] = found["rpm"] * np.float32(np.pi / 30.0)
-    found["specific_force"] = np.rint(rng.uniform(-9.0, 9.0, (count, 3)) * 1024.0) / 1024.0
-    found["thrust"] = -found["specific_force"][:, 2:]
-    found["others_command"] = found["rpm"]
-    return found
+        vehicles[name] = rng.uniform(-1.0, 1.0, (count, 3))
+    vehicles["gyro"] = vehicles["rates"]
+    vehicles["euler"] = rng.uniform(-1.0, 1.0, (count, 3))
+    turned = quaternion.of_euler(Vec3(*vehicles["euler"].astype(np.float64).T))
+    vehicles["quaternion"] = np.stack([np.asarray(x) for x in jax.tree.leaves(turned)], axis=1)
+    vehicles["rpm"] = np.rint(rng.uniform(3000.0, 10_000.0, (count, 4)))
+    vehicles["rotor_speed"] = vehicles["rpm"] * np.float32(np.pi / 30.0)
+    vehicles["specific_force"] = np.rint(rng.uniform(-9.0, 9.0, (count, 3)) * 1024.0) / 1024.0
+    vehicles["thrust"] = -vehicles["specific_force"][:, 2:]
+    vehicles["others_command"] = vehicles["rpm"]
+    return vehicles

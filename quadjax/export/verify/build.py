@@ -103,12 +103,12 @@ class Sources:
 
     @property
     def flying(self) -> list[Path]:
-        """The C of the runtime; that of angles is for glue alone."""
+        """The C of the runtime, without that of angles, which only glue uses."""
         return [path for path in sorted(self.include.glob("qj_*.c")) if path.name != "qj_angles.c"]
 
     @property
     def options(self) -> list[str]:
-        """Of the compiler: what the target's autopilot gives and takes, where no glue says it."""
+        """Compiler options: what the autopilot measures and takes, for targets without glue."""
         names = {*self.target.gives, *DISTURBANCES}
         values = {
             "GIVES": sum(
@@ -121,7 +121,7 @@ class Sources:
         return [f"-I{self.include}", *(f"-DINTERFACE_{k}={v}U" for k, v in values.items())]
 
     def autopilot(self) -> tuple[list[Path], list[str]]:
-        """The C of the glue in a stand-in of its firmware, and its options.
+        """The C of the glue in a stand-in for its firmware, and its options.
 
         Headers of the firmware are empty: the stand-in has what they declare. Without glue, the
         stand-in calls the pilot.
@@ -134,8 +134,8 @@ class Sources:
         for path in self.include.glob("*.[ch]*"):
             for name in re.findall(r"#include [<\"](.+)[>\"]", path.read_text("utf-8")):
                 if name not in SYSTEM and not (self.include / name).exists():
-                    own = (self.include / Path(name).name).exists()
-                    text = f"#include <{Path(name).name}>\n" if own else ""
+                    exists = (self.include / Path(name).name).exists()
+                    text = f"#include <{Path(name).name}>\n" if exists else ""
                     write_bytes(headers / name, text.encode())
         options = [f"-I{headers}", f"-I{HOST}", *self.options, *target.flags]
         return files, [*options, f'-DQUADJAX_POLICY_FILE="{self.folder / FILE}"']

@@ -203,7 +203,7 @@ def _on_board(c: Context, board: OnBoard) -> str:
 
 
 def check_glue(c: Context) -> str:
-    """The glue of the autopilot, in a stand-in of its firmware, commands what NumPy does."""
+    """The glue of the autopilot, in a stand-in for its firmware, gives NumPy's commands."""
     if not c.target.glue:
         raise Skipped(f"{c.target.autopilot} calls the pilot: the target has no glue")
     return compare_glue(c.sources, c.fixed, c.work)

@@ -1,4 +1,4 @@
-/* A stand-in of the Crazyflie's firmware around the glue. */
+/* A stand-in for the Crazyflie's firmware around the glue. */
 #include <stdbool.h>
 
 #include "firmware.h"

@@ -16,7 +16,7 @@ const char *firmware_start(void);
 /* One call of the glue. vehicle: the newest state, of which the glue reads what the autopilot
  * measures; 0: it is lost. flies: whether the mode of the policy is on. command: to the motors in the
  * order of the policy, or rates and thrust; zeros if the policy commands nothing.
- * Returns whether the autopilot lets anybody arm. */
+ * Returns whether the autopilot allows arming. */
 uint32_t firmware_call(uint32_t now_us, const qj_vehicle *vehicle, uint32_t flies,
                        float command[QJ_COMMANDS]);
 

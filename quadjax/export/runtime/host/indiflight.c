@@ -1,4 +1,4 @@
-/* A stand-in of INDIflight around the glue. */
+/* A stand-in for INDIflight around the glue. */
 #include "firmware.h"
 
 #include "nn_controller.c"

@@ -1,4 +1,4 @@
-/* A stand-in of Paparazzi on the Bebop around the module. */
+/* A stand-in for Paparazzi on the Bebop around the module. */
 #include <stdbool.h>
 
 #include "firmware.h"
@@ -86,7 +86,7 @@ static void float_rmat_vmult(struct FloatVect3 *out, const struct FloatRMat *m,
 
 #include "quadjax_module.c"
 
-/* A number as an integer, which any number has to fit in. */
+/* A number, also NaN, as an integer within a range. */
 static int32_t limited(float value, float low, float high) {
   return (int32_t)((value > low) ? ((value < high) ? value : high) : low);
 }

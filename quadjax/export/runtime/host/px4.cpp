@@ -1,4 +1,4 @@
-/* A stand-in of PX4 around the module: its messages, its Commander, and its scheduler. */
+/* A stand-in for PX4 around the module: its messages, its Commander, and its scheduler. */
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>

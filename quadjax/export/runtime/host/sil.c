@@ -1,4 +1,4 @@
-/* A firmware behind the messages: its clock of calls, and the state that it has at each. */
+/* A firmware that messages call: its clock of calls, and its state at each call. */
 #include "firmware.h"
 #include "message.h"
 
@@ -9,7 +9,7 @@
 static qj_vehicle newest;
 static qj_counters before;
 static float command[QJ_COMMANDS];
-static uint32_t call; /* number of the last one in this race */
+static uint32_t call; /* number of the last call in this race */
 static uint32_t begun;
 
 static void copy(float *to, const float *from, int count) {
@@ -52,7 +52,7 @@ static void read_state(const sil_state *from, qj_vehicle *vehicle) {
   copy(vehicle->body_velocity, from->velocity_frd_m_s, 3);
 }
 
-/* The calls until the time of a state: of them only the last one has it. */
+/* Make the calls up to the time of a state; only the last of them has this state. */
 void sil_step(const sil_state *from, sil_command *to) {
   const double calls = from->header.time_s / CALL_S + 1e-3;
   const uint32_t due = ((calls >= 0.0) && (calls < 4e9)) ? (uint32_t)calls : call;
