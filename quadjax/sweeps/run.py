@@ -23,6 +23,7 @@ from quadjax.sweeps.schema import JOURNAL
 from quadjax.sweeps.study import (
     Retry,
     State,
+    drop_partial_line,
     number_of,
     open_study,
     progress,
@@ -150,11 +151,13 @@ def run_sweep(
     sweep: Sweep, directory: Path, workers: LocalWorkers | RayWorkers, measure: Measure
 ) -> bool:
     """Run trials until the budget is used up or the time is over; False after Ctrl-C."""
-    study, started = open_study(sweep, directory), time.monotonic()
     seconds, retries = sweep.file.budget.seconds or math.inf, sweep.file.executor.retries
-    journal = sweep.file.storage == JOURNAL
+    journal, started = sweep.file.storage == JOURNAL, time.monotonic()
     arguments = (sweep, directory.resolve(), measure, time.time() + seconds)
     if journal:  # which only this command uses
+        drop_partial_line(directory)
+    study = open_study(sweep, directory)
+    if journal:
         retry_running(study)
     first = printed = len(trials_over(study))
     running: dict[int, tuple[str, Any]] = {}

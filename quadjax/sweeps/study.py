@@ -96,6 +96,16 @@ def _storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
     )
 
 
+def drop_partial_line(directory: Path) -> None:
+    """Remove the last line of the journal if a power failure or a full disk left it without an end.
+
+    No other process may use the journal.
+    """
+    if (path := directory / FILE).exists():
+        with open(path, "rb+") as stream:
+            stream.truncate(stream.read().rfind(b"\n") + 1)
+
+
 @contextlib.contextmanager
 def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
     """Turn errors of the storage in the block into one ``InputError``."""

@@ -15,7 +15,7 @@ from quadjax.core.yaml_files import parse_yaml, to_yaml
 from quadjax.race.laps import Laps
 from quadjax.sweeps.report import write_report
 from quadjax.sweeps.run import TrialStopped, objective, train_and_fly
-from quadjax.sweeps.study import FILE, State, open_study, trials_left
+from quadjax.sweeps.study import FILE, State, drop_partial_line, open_study, trials_left
 from quadjax.sweeps.sweep import load_sweep
 from tests.commands import run
 from tests.sweeps.stand_in import CLIP, RATE, ROOT, TINY, complete, open_small, sweep_file, value_of
@@ -147,6 +147,17 @@ def test_a_study_takes_only_its_own_sweep_and_damage_is_one_line(tmp_path):
         with pytest.raises(InputError, match=r"study.journal is damaged.*--overwrite") as caught:
             open_study(sweep, directory)
         assert "\n" not in str(caught.value)
+
+
+def test_a_line_without_an_end_is_dropped(tmp_path):
+    sweep, directory, study = open_small(tmp_path)
+    study.ask()
+    with open(directory / FILE, "ab") as stream:
+        stream.write(b'{"op_code": 6, "tri')
+    drop_partial_line(directory)
+    study = open_study(sweep, directory)
+    study.ask()
+    assert len(study.trials) == 2
 
 
 @pytest.mark.slow
