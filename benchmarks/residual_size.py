@@ -78,7 +78,7 @@ def row(name: str, values: Sequence[float]) -> str:
     """A line of the table."""
     force = " / ".join(f"{x:.2f}" for x in values[:3])
     rms, deviation = (", ".join(f"{x:.4f}" for x in part) for part in (values[3:6], values[7:]))
-    return f"| `{name}` | {force} | {rms} | {values[6]:.2f} | {deviation} |"
+    return f"| {name} | {force} | {rms} | {values[6]:.2f} | {deviation} |"
 
 
 def main() -> None:
@@ -94,7 +94,7 @@ def main() -> None:
     print(f"| residual | Fz mean / rms / largest, m/s^2 | Mx, My, Mz rms, N m | {deviations} |")
     print("|---|---|---|---|---|")
     for path in arguments.files:
-        print(row(Path(path).name, sizes(*of_residual(path, states))))
+        print(row(Path(path).stem, sizes(*of_residual(path, states))))
     for name in arguments.plant:
         config = load_plant_config(name)
         drones = [

@@ -13,9 +13,9 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.mark.slow
 def test_size_of_the_residual_of_the_plant():
     script = runpy.run_path(str(ROOT / "benchmarks" / "residual_size.py"))
-    name = "standin_residual.npz"
+    name = "standin_residual"
     states = script["states_of"](PRETRAINED / "e2e_nominal.npz", "e2e")
-    sizes = script["sizes"](*script["of_residual"](PRETRAINED / name, states))
+    sizes = script["sizes"](*script["of_residual"](PRETRAINED / f"{name}.npz", states))
     row = script["row"](name, sizes)
     page = (ROOT / "docs" / "design" / "comparison.md").read_text(encoding="utf-8")
     assert row in page.splitlines()
