@@ -10,6 +10,7 @@ import socket
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import unquote
 
 import optuna
 from optuna.samplers import GridSampler, RandomSampler, TPESampler
@@ -123,7 +124,19 @@ def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
         reason = (str(cause).strip().splitlines() or [type(cause).__name__])[0]
         if isinstance(cause, ImportError):
             reason += ": pip install 'quadjax[sweep-postgresql]'"
-        raise InputError(f"{where} ({reason.replace(sweep.file.storage, 'URL')})") from None
+        raise InputError(f"{where} ({without_secrets(reason, sweep.file.storage)})") from None
+
+
+def without_secrets(text: str, url: str) -> str:
+    """The text without what a database's URL may hold of a password: whole, parsed or not."""
+    user, at, _ = url.partition("://")[2].rpartition("@")
+    password = user.partition(":")[2] if at else ""
+    query = [entry.partition("=")[2] for entry in url.partition("?")[2].split("&")]
+    parts = [password, *password.split("/"), *query]  # "/" in a password ends it for a parser
+    secrets = {url.replace("postgresql://", DRIVER, 1), url, *parts, *map(unquote, parts)} - {""}
+    for secret in sorted(secrets, key=len, reverse=True):
+        text = text.replace(secret, "***")
+    return text
 
 
 def delete_study(sweep: Sweep, directory: Path) -> None:

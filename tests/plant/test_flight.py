@@ -58,7 +58,8 @@ def test_a_policy_flies_a_lap_by_its_estimates(name, request):
     assert ((flights.laps.totals > 2.0) & (flights.laps.totals < 5.0)).all()
     gates, model = load_config("e2e").track.gates, MODELS[{"e2e": "motor", "indi": "rate"}[name]]
     for flight in recorded_flights(flights, gates, model):
-        assert flight["actuators"].shape[1] == 4 and flight["command"].shape[1] == 4
+        assert flight["actuators"].shape[1] == model.actuators.size
+        assert flight["command"].shape[1] == 4
         last_gate = [-2.0, -1.5, -1.5]
         assert np.linalg.norm(flight["position"][-1] - last_gate) < 1.0
         np.testing.assert_array_equal(flight.passages[:, 1], [0, 1, 2, 3])

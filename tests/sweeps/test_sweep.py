@@ -77,7 +77,12 @@ def test_the_command_refuses_in_one_line_without_a_password_and_leaves_nothing(t
     assert run("sweep", path, "--output", runs) == 2
     printed = capfd.readouterr()
     assert len(printed.err.splitlines()) == 1 and "space.learner.rate" in printed.err
-    for url in ("postgresql://me:s3cret@127.0.0.1:9/none", "nonsense://me:s3cret@host/none"):
+    for url in (
+        "postgresql://me:s3cret@127.0.0.1:9/none",
+        "postgresql://me:7/s3cret@127.0.0.1:9/none",
+        "postgresql://127.0.0.1:9/none?user=me&password=s3cret",
+        "nonsense://me:s3cret@host/none",
+    ):
         assert run("sweep", sweep_file(tmp_path, storage=url), "--output", runs) == 2
         printed = capfd.readouterr()
         assert len(printed.err.splitlines()) == 1 and "storage" in printed.err
