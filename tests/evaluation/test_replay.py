@@ -114,15 +114,20 @@ def test_a_fitted_vehicle_is_flown_with_its_residual(flown, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_policy_replayed_on_its_own_log_observes_the_estimated_disturbance(tmp_path, capsys):
-    """On the plant, whose effects the policy's model lacks; with zeros the RMS is up to 500 rpm."""
+    """On the plant, whose effects the policy's model lacks; with zeros the RMS is up to 500 rpm.
+
+    The log has the laps that were flown.
+    """
     own = ("standin", "--race", "e2e +residual +disturbance", "--policy", "e2e_adaptive")
     logs, out = tmp_path / "logs", ("--output", tmp_path, "--name", "out")
-    assert run("logs", *own, "--flights", 1, "--laps", 1, "--output", logs) == 0
+    assert run("logs", *own, "--flights", 1, "--laps", 2, "--output", logs) == 0
     (log,) = logs.glob("*.csv")
     assert run("replay", log, "--policy", "e2e_adaptive", "--logs", "paparazzi", *out) == 0
     assert "external moment and force: estimated from the log" in capsys.readouterr().out
     found = json.loads((tmp_path / "out/replay.json").read_text())
-    assert len(found["lap_times"]) == 1 and len(found["gate_times"]) == 4
+    np.testing.assert_allclose(found["lap_times"], [2.84, 2.41], atol=0.1)
+    assert len(found["gate_times"]) == 8
+    np.testing.assert_allclose(np.cumsum(found["lap_times"]), found["gate_times"][3::4], atol=1e-3)
     assert found["commands"]["disturbance"] == "estimated from the log"
     for row in found["commands"]["each"]:
         assert row["correlation"] > 0.98 and row["rms_difference"] < 150.0

@@ -1,14 +1,72 @@
-"""What is selected on held-out folds, the folds, and mirror images."""
+"""Fits of simulated rows, what is selected on held-out folds, the folds, and mirror images."""
 
 import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.fitting.config import SplitConfig
-from quadjax.fitting.nominal import AXES, ModelInputs, nominal
-from quadjax.fitting.residual import select
+from quadjax.fitting.axes import fit_axes, with_estimates
+from quadjax.fitting.config import ResidualConfig, SplitConfig
+from quadjax.fitting.nominal import AXES, ModelInputs, nominal, regressors, residual_output
+from quadjax.fitting.regression import r_squared
+from quadjax.fitting.residual import fit_residuals, select
 from quadjax.fitting.residual_training import MIRROR_OUTPUT, NETWORKS, mirrored
-from quadjax.fitting.samples import NOWHERE, TEST, make_split
+from quadjax.fitting.samples import ALL, NOWHERE, TEST, Samples, make_split
+
+from .flights import random_residual
+
+RATE = 50.0  # Hz
+NOISE = np.array([0.3, 0.3, 0.3, 5e-3, 5e-3, 2e-3])  # m/s^2 and N m
+
+
+def fitted(base, truth, noise, flights, seconds, **config):
+    """Fits of smooth random motions, and of each of them the constants; measured with noise."""
+    random, count = np.random.default_rng(0), round(seconds * RATE)
+    time = np.arange(count)[:, None] / RATE
+    waves = np.zeros((flights, count, 10))
+    for flight in np.repeat(np.arange(flights), 3):
+        turns, phase, size = random.uniform([[0.1], [0.0], [0.3]], [[1.5], [1.0], [1.0]], (3, 10))
+        waves[flight] += size * np.sin(2.0 * np.pi * (turns * time + phase))
+    change = np.gradient(waves[..., :4], 1.0 / RATE, axis=1)
+    parts = (7000.0 + 1200.0 * waves[..., :4], 1200.0 * change, 2.0 * waves[..., 4:7])
+    parts = (*parts, 1.5 * waves[..., 7:])
+    motion = ModelInputs(*(part.reshape(flights * count, -1) for part in parts))
+    measured = nominal(base, motion) + noise * NOISE * random.normal(size=(flights * count, 6))
+    measured[:, 2:] += residual_output(truth, motion)
+    columns = regressors(motion, base)
+    exact = {axis: np.zeros_like(values) for axis, values in columns.items()}
+    number, time = np.repeat(np.arange(flights), count), np.tile(time[:, 0], flights)
+    samples = Samples(motion, columns, exact, measured, number, time, RATE)
+    split = make_split(np.split(time, flights), list("abc"[:flights]), SplitConfig())
+
+    def constants(left_out):
+        return with_estimates(base, fit_axes(samples[split.learned(left_out)], base))
+
+    fits = fit_residuals(samples, split, base, constants, ResidualConfig(seeds=2, **config), 0)
+    return motion, split, {key: (constants(key), fit) for key, fit in fits.items()}
+
+
+@pytest.mark.slow
+def test_a_known_residual_is_recovered_on_held_out_flights(bebop):
+    truth = random_residual(4, 0.8, (0.01, 0.01, 0.004))
+    motion, split, fits = fitted(bebop, truth, 0.1, 3, 40.0, epochs=20, mirror="off")
+    for number in range(3):
+        rows = motion[split.fold == number]
+        constants, fit = fits[frozenset({number})]
+        # The nominal fit takes its share of the residual: the sum is what must come back.
+        share = nominal(constants, rows) - nominal(bebop, rows)
+        found = share[:, 2:] + residual_output(fit.residual, rows)
+        assert (r_squared(residual_output(truth, rows), found) > 0.95).all()
+
+
+@pytest.mark.slow
+def test_noise_is_rejected_and_so_is_what_nothing_validates(bebop):
+    motion, _, fits = fitted(bebop, random_residual(0, 0.0, 0.0), 1.0, 2, 20.0, epochs=12)
+    for left_out, (_, fit) in fits.items():
+        assert len(fit.choices) == 4 and not residual_output(fit.residual, motion).any()
+        # Without one of two flights there is none left to choose on.
+        reason = "" if left_out == ALL else "no second"
+        assert all(x.rejected and reason in x.rejected for x in fit.choices.values())
+        assert all(choice.scale == 0.0 for choice in fit.choices.values())
 
 
 def scores(*folds, spread=0.0):

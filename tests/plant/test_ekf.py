@@ -73,3 +73,28 @@ def test_correction_agrees_with_the_float64_reference(params, seed):
     np.testing.assert_array_equal(got, got.T)
     assert np.linalg.eigvalsh(correlation(got, got)).min() > 0
     assert (np.diag(got)[:3] < 0.7 * np.diag(dense)[:3]).all()
+
+
+@pytest.mark.parametrize(
+    ("taken", "offset", "fresh", "least", "most"),  # s, s, -, standard deviations
+    [
+        (8e-4, 8e-4, 1.0, 0.0, 2e-3),  # the pose says what was known already
+        (-8e-4, -8e-4, 1.0, 0.0, 2e-3),
+        (8e-4, 0.0, 1.0, 0.1, np.inf),
+        (8e-4, 0.0, 0.0, 0.0, 1e-5),
+    ],
+    ids=["later", "earlier", "not bridged", "lost"],
+)
+def test_a_pose_between_samples_is_bridged_and_a_lost_one_changes_nothing(
+    params, taken, offset, fresh, least, most
+):
+    state, dense, samples = random_filter(7)
+    gyro, force = (np.float64(v.array()) for v in (samples[1].gyro, samples[1].force))
+    then = reference.advance(state, gyro, force, taken)
+    fix = Fix(vec3(then.position), quaternion_of(then.attitude), jnp.float32(fresh))
+    before, covariance = motion_of(state), jnp.asarray(dense, jnp.float32)
+    bridging = params.replace(offset=jnp.float32(offset))
+    motion, after = ekf.correct(bridging, before, covariance, samples[1], fix)
+    change = np.abs(nominal_of(motion).minus(nominal_of(before))) / np.sqrt(np.diag(dense))
+    assert least <= change.max() < most
+    assert np.allclose(after, covariance, rtol=1e-7, atol=0.0) == (fresh == 0.0)

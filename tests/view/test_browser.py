@@ -163,6 +163,29 @@ def test_every_control_is_on_the_screen(open_scene, size):
         assert page.do("return document.documentElement.scrollWidth") <= size[0]
 
 
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_every_view_shows_the_scene_in_its_scheme(open_scene, scheme):
+    with open_scene(RACE, scheme=scheme) as page:
+        page.still(1.3)
+        shown = []
+        for view in ("orbit", "chase", "on-board", "top"):
+            page.do(f"viewer.setView('{view}')")
+            image = picture(page)
+            colors, counts = np.unique(image.reshape(-1, 3), axis=0, return_counts=True)
+            drawn = np.abs(image - colors[counts.argmax()]).sum(axis=2) > 60
+            assert 0.005 < drawn.mean() < 0.9
+            assert (image.mean() < 100) == (scheme == "dark")
+            assert all((drawn != other).mean() > 0.005 for other in shown)
+            shown.append(drawn)
+
+
+def test_ten_megabytes_of_flights(open_scene):
+    many = scene(*(circle(f"flight {k}", lap=3.0 + 0.01 * k, laps=6) for k in range(90)))
+    assert len(str(many)) > 9e6
+    with open_scene(many) as page:
+        assert len(page.state(5.0)["drones"]) == 90
+
+
 def test_from_above_the_drones_are_where_they_fly(open_scene):
     with open_scene(scene(circle("one", lap=4.0)), scheme="light") as page:
         page.do("viewer.setView('top'); viewer.setTrail(0); viewer.toggleLabels()")
