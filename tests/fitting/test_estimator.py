@@ -1,6 +1,7 @@
 """The onboard estimate of a disturbance, on flights of the float64 reference model."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
@@ -100,3 +101,34 @@ def test_jax_and_float64_reference_agree(flight):
     expected = estimate(DRONE, signals, rate, explicit_euler=euler)
     assert np.abs(moment - expected[0]).max() < 1e-5
     assert np.abs(force - expected[1]).max() < 1e-5
+
+
+def test_a_steady_start_is_no_disturbance_and_the_estimate_has_derivatives():
+    """Over two drones that turn about the yaw axis and then otherwise, by the filter's cutoff."""
+    turn, none, ones = 2.0, Vec3.zero(), jnp.ones(2)
+    apart = BEBOP.k_rr * turn / (4.0 * BEBOP.k_r1)  # rotors against the damping, rpm
+    mean = jnp.sqrt(motor.hover_rpm(BEBOP) ** 2 - apart**2)
+    rpm = Rotors(mean - apart, mean + apart, mean - apart, mean + apart)
+    force = none.replace(z=jnp.float32(-9.81))
+    rest = Measurement(none.replace(z=jnp.float32(turn)), force, rpm, none)
+    rest = jax.tree.map(lambda x: x * ones, rest)
+    after = rest.replace(gyro=Vec3(ones, -ones, ones), specific_force=Vec3(ones, ones, 0.0 * ones))
+
+    def estimates(cutoff):
+        """The first and the second estimate (2, 6) of each drone."""
+        params = estimator.estimator_params(motor.MODEL, VehicleParams(BEBOP), 100.0, cutoff)
+
+        def both(*measured):
+            state, found = estimator.init(params, measured[0]), []
+            for measurement in measured:
+                state, moment, force = estimator.update(params, state, measurement)
+                found.append(jnp.concatenate([moment.array(), force.array()]))
+            return tuple(found)
+
+        return jax.vmap(both)(rest, after)
+
+    (first, second), (_, slope) = jax.jit(lambda x: jax.jvp(estimates, (x,), (1.0,)))(8.0)
+    np.testing.assert_allclose(first, 0.0, atol=1e-5)
+    assert (np.abs(second[:, :5]) > 1e-4).all()
+    low, high = (np.float64(jax.jit(estimates)(x)[1]) for x in (7.5, 8.5))
+    np.testing.assert_allclose(slope, high - low, rtol=0.02, atol=1e-5)
