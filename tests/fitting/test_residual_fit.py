@@ -60,7 +60,7 @@ def test_a_known_residual_is_recovered_on_held_out_flights(bebop):
 
 @pytest.mark.slow
 def test_noise_is_rejected_and_so_is_what_nothing_validates(bebop):
-    motion, _, fits = fitted(bebop, random_residual(0, 0.0, 0.0), 1.0, 2, 20.0, epochs=12)
+    motion, _, fits = fitted(bebop, random_residual(0, 0.0, 0.0), 1.0, 2, 8.0, epochs=40)
     for left_out, (_, fit) in fits.items():
         assert len(fit.choices) == 4 and not residual_output(fit.residual, motion).any()
         # Without one of two flights there is none left to choose on.
