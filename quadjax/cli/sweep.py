@@ -42,7 +42,14 @@ def sweep(
     with loading():
         from quadjax.sweeps.report import write_report
         from quadjax.sweeps.run import run_sweep, train_and_fly
-        from quadjax.sweeps.study import State, delete_study, open_study, progress, trials_over
+        from quadjax.sweeps.study import (
+            State,
+            delete_study,
+            load_study,
+            open_study,
+            progress,
+            trials_over,
+        )
         from quadjax.sweeps.sweep import load_sweep
         from quadjax.sweeps.workers import LocalWorkers, RayWorkers
 
@@ -54,7 +61,7 @@ def sweep(
         return 0
     if report:
         check_kind(folder, "sweep", () if overwrite else FILES)
-        print(write_report(open_study(plan, folder), plan, folder))
+        print(write_report(load_study(plan, folder), plan, folder))
         return 0
 
     with claim(folder, "sweep", FILES, overwrite):

@@ -137,7 +137,11 @@ def work(sweep: Sweep, directory: Path, measure: Measure, end: float, slot: int,
 
         def run_one(trial: optuna.Trial) -> float:
             trial.set_user_attr("worker", name)
-            return objective(trial, sweep, directory, measure, stop)
+            try:
+                return objective(trial, sweep, directory, measure, stop)
+            except KeyboardInterrupt:  # Optuna would end the trial for good
+                stop.set()
+                raise TrialStopped from None
 
         def after(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
             if trial.state == State.FAIL and "error" not in trial.user_attrs:
@@ -161,6 +165,7 @@ def run_sweep(
         retry_running(study)
     first = printed = len(trials_over(study))
     running: dict[int, tuple[str, Any]] = {}
+    stopped: set[str] = set()  # workers, which a second signal would end without saving
     guard = contextlib.nullcontext() if journal else storage_errors(sweep, directory)
     with interruptions() as stop, guard:
         while (over := len(trials_over(study))) < sweep.trials or running:
@@ -177,7 +182,8 @@ def run_sweep(
                     name = uuid.uuid4().hex
                     running[slot] = name, workers.start(slot, work, *arguments, slot, name)
             for slot, (name, worker) in list(running.items()):
-                if interrupted:
+                if interrupted and name not in stopped:
+                    stopped.add(name)
                     workers.stop(worker)
                 if (reason := workers.reason(worker)) is not None:
                     del running[slot]

@@ -70,19 +70,43 @@ def open_study(sweep: Sweep, directory: Path, slot: int | None = None) -> optuna
                 study.sampler = RandomSampler(seed)
             if search.method == "grid":
                 study.sampler = GridSampler(sweep.grid(), search.seed)
-        wanted = sweep.definition()
-        before = study.user_attrs.get("definition", wanted)
-        for key in [*before, *wanted]:
-            if before.get(key) != wanted.get(key):
-                change = f"{key} was {before.get(key)}, is {wanted.get(key)}"
-                hint = "choose another name=NAME, or start over with --overwrite"
-                problem = f"the study {sweep.file.name} is of another sweep"
-                raise InputError(f"{problem}: {change}; {hint}")
+        _check_definition(study, sweep)
         if "definition" not in study.user_attrs:
-            study.set_user_attr("definition", wanted)
+            study.set_user_attr("definition", sweep.definition())
             if search.base_first:
                 study.enqueue_trial(sweep.base_params(), skip_if_exists=True)
     return study
+
+
+def load_study(sweep: Sweep, directory: Path) -> optuna.Study:
+    """The study of a sweep that was begun; nothing is written.
+
+    Raises:
+        InputError: no such study, or one of another sweep.
+    """
+    with storage_errors(sweep, directory):
+        missing = InputError(f"{directory}: no trials of the sweep {sweep.file.name}; run it first")
+        if sweep.file.storage == JOURNAL and not (directory / FILE).exists():
+            raise missing
+        try:
+            study = optuna.load_study(
+                study_name=sweep.file.name, storage=_storage(sweep, directory)
+            )
+        except KeyError:
+            raise missing from None
+        _check_definition(study, sweep)
+    return study
+
+
+def _check_definition(study: optuna.Study, sweep: Sweep) -> None:
+    definition = sweep.definition()
+    before = study.user_attrs.get("definition", definition)
+    for key in [*before, *definition]:
+        if before.get(key) != definition.get(key):
+            change = f"{key} was {before.get(key)}, is {definition.get(key)}"
+            hint = "choose another name=NAME, or start over with --overwrite"
+            problem = f"the study {sweep.file.name} is of another sweep"
+            raise InputError(f"{problem}: {change}; {hint}")
 
 
 def _storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
@@ -110,7 +134,9 @@ def drop_partial_line(directory: Path) -> None:
 @contextlib.contextmanager
 def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
     """Turn errors of the storage in the block into one ``InputError``."""
-    kinds: tuple[type[Exception], ...] = (ValueError, LookupError, TypeError, AttributeError)
+    kinds: tuple[type[Exception], ...] = (
+        *(ValueError, LookupError, TypeError, AttributeError, AssertionError),
+    )
     where = f"{directory / FILE} is damaged, start over with --overwrite"
     if sweep.file.storage != JOURNAL:
         kinds = (SQLAlchemyError, optuna.exceptions.OptunaError, ImportError, ValueError)

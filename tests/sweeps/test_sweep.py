@@ -1,6 +1,7 @@
 """Sweep files, their studies, a real trial, and the report."""
 
 import csv
+import math
 from threading import Event
 from types import SimpleNamespace
 
@@ -14,8 +15,16 @@ from quadjax.core.errors import InputError
 from quadjax.core.yaml_files import parse_yaml, to_yaml
 from quadjax.race.laps import Laps
 from quadjax.sweeps.report import write_report
-from quadjax.sweeps.run import TrialStopped, objective, train_and_fly
-from quadjax.sweeps.study import FILE, State, drop_partial_line, open_study, trials_left
+from quadjax.sweeps.run import TrialStopped, objective, train_and_fly, work
+from quadjax.sweeps.study import (
+    FILE,
+    State,
+    drop_partial_line,
+    number_of,
+    open_study,
+    trials_left,
+    trials_over,
+)
 from quadjax.sweeps.sweep import load_sweep
 from tests.commands import run
 from tests.sweeps.stand_in import CLIP, RATE, ROOT, TINY, complete, open_small, sweep_file, value_of
@@ -87,6 +96,8 @@ def test_the_command_refuses_in_one_line_without_a_password_and_leaves_nothing(t
         printed = capfd.readouterr()
         assert len(printed.err.splitlines()) == 1 and "storage" in printed.err
         assert not printed.out.count("s3cret") and "s3cret" not in printed.err
+    assert run("sweep", sweep_file(tmp_path), "--report", "--output", runs) == 2
+    assert "no trials of the sweep small; run it first" in capfd.readouterr().err
     assert run("sweep", sweep_file(tmp_path), "--check", "--output", runs) == 0
     assert "4 trials of 1 seeds" in capfd.readouterr().out and not runs.exists()
 
@@ -163,6 +174,18 @@ def test_a_line_without_an_end_is_dropped(tmp_path):
     study = open_study(sweep, directory)
     study.ask()
     assert len(study.trials) == 2
+
+
+def test_an_interrupted_trial_is_queued_again(tmp_path):
+    sweep, directory, study = open_small(tmp_path)
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    work(sweep, directory, interrupt, math.inf, 0, "worker")
+    first, second = study.trials
+    assert (first.state, second.state) == (State.FAIL, State.WAITING)
+    assert trials_over(study) == [] and number_of(second) == first.number
 
 
 @pytest.mark.slow
