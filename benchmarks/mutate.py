@@ -25,7 +25,8 @@ from quadjax.export.read import unpack
 from quadjax.export.targets import RUNTIME
 from quadjax.export.words import STRUCTS
 
-FLAGS = "-std=c99 -DQJ_SAMPLED -fsanitize=address,undefined -fno-sanitize-recover=all -g -O1".split()
+SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all"
+FLAGS = f"-std=c99 -DQJ_SAMPLED {SANITIZERS} -g -O1".split()
 TOO_LARGE = 5
 PARTS = ("check", "estimator", "load", "network", "race")  # mutate.c includes the pilot
 
