@@ -2,6 +2,7 @@
 
 import csv
 import math
+import signal
 from threading import Event
 from types import SimpleNamespace
 
@@ -15,11 +16,12 @@ from quadjax.core.errors import InputError
 from quadjax.core.yaml_files import parse_yaml, to_yaml
 from quadjax.race.laps import Laps
 from quadjax.sweeps.report import write_report
-from quadjax.sweeps.run import TrialStopped, objective, train_and_fly, work
+from quadjax.sweeps.run import TrialStopped, objective, run_sweep, train_and_fly, work
 from quadjax.sweeps.study import (
     FILE,
     State,
     drop_partial_line,
+    load_study,
     number_of,
     open_study,
     trials_left,
@@ -186,6 +188,26 @@ def test_an_interrupted_trial_is_queued_again(tmp_path):
     first, second = study.trials
     assert (first.state, second.state) == (State.FAIL, State.WAITING)
     assert trials_over(study) == [] and number_of(second) == first.number
+
+
+def test_a_report_leaves_a_journal_with_a_cut_line_as_it_is(tmp_path):
+    sweep, directory, _ = open_small(tmp_path)
+    journal = directory / FILE
+    journal.write_bytes(before := journal.read_bytes() + b'{"op_code":8,"worker_i')
+    assert load_study(sweep, directory).trials == [] and journal.read_bytes() == before
+
+
+def test_an_interrupted_sweep_stops_each_worker_once(tmp_path):
+    sweep, directory, _ = open_small(tmp_path)
+    stops, polls = [], iter([None, None, None, ""])
+    workers = SimpleNamespace(
+        count=1,
+        start=lambda *_: signal.raise_signal(signal.SIGINT),
+        stop=stops.append,
+        reason=lambda worker: next(polls),
+    )
+    assert not run_sweep(sweep, directory, workers, measure=None)
+    assert len(stops) == 1
 
 
 @pytest.mark.slow
