@@ -98,12 +98,15 @@ class Report:
         the first-order response to the commands, with the constants of the config's vehicle.
 
         Raises:
-            InputError: the vehicle has no model of the commands of the group's fastest flight.
+            InputError: no such group, or the vehicle has no model of the commands of its fastest
+                flight.
         """
-        fastest = fastest_responses(self.groups, self.config).get(label)
-        if fastest is None:
+        if label not in self.groups:
+            raise InputError(f"{label}: no group of flights, allowed: {', '.join(self.groups)}")
+        fastest = fastest_responses({label: self.groups[label]}, self.config)
+        if not fastest:
             raise InputError(f"{label}: the vehicle has no model of its commands")
-        best, signals = fastest
+        best, signals = fastest[label]
         gates = len(self.config.track.gates)
         return error_figure(best, signals, gates, f"{label}, {best.name}")
 
@@ -114,8 +117,10 @@ def report_figures(groups: Groups, config: Config) -> Iterator[tuple[str, Figure
     yield "boxes", report.boxes()
     yield "gaps", report.gaps()
     yield "trajectories", report.trajectories()
-    for label in fastest_responses(groups, config):
-        yield f"errors_{labels.index(label) + 1}", report.errors(label)
+    gates = len(config.track.gates)
+    for label, (best, signals) in fastest_responses(groups, config).items():
+        figure = error_figure(best, signals, gates, f"{label}, {best.name}")
+        yield f"errors_{labels.index(label) + 1}", figure
 
 
 def box_figure(groups: Groups) -> Figure:
