@@ -2,7 +2,7 @@
 
 Each variant is a policy file of ``quadjax/pretrained/ablation`` (or of a folder that is named), its
 training, and its disturbance observation. A policy that is missing is skipped, with the command
-that trains it. docs/design/comparison.md has the table.
+that trains it. docs/design/comparison.md has the numbers.
 
     python -m benchmarks.ablation [FOLDER]
 """
