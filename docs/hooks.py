@@ -141,7 +141,7 @@ takes, ends `quadjax sil` with one line. The drone sends an end after the last s
 may send one to leave.
 
 The C header below is also written to the folder of every flight (`message.h`). The Python form is
-`quadjax.sil.message` (NumPy and the standard library only): `new`, `pack`, `unpack`."""
+`quadjax.sil_message` (NumPy and the standard library only): `new`, `pack`, `unpack`."""
 
 
 def commands_page() -> str:

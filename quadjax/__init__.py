@@ -30,7 +30,10 @@ def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, attribute = _PUBLIC[name]
-    value = getattr(importlib.import_module(module), attribute)
+    owner = importlib.import_module(module)
+    if not hasattr(owner, attribute):  # a module
+        importlib.import_module(f"{module}.{attribute}")
+    value = getattr(owner, attribute)
     globals()[name] = value
     return value
 

@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import re
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -16,14 +17,15 @@ def load_object(path: str, key: str) -> object:
     ``sys.path`` has it at another place.
 
     Args:
-        path: ``"package.module:name"``; the name may be dotted (``"module:Class.method"``).
+        path: ``"package.module:name"``; the name may be dotted (``"module:Class.method"``), and
+            the module's name may begin with a digit (``04_race.py``).
         key: the config key that holds ``path``, for the error message.
 
     Raises:
         InputError: not of that form, no such module, an error in the module, or no such name in it.
     """
     module_name, colon, name = path.partition(":")
-    if not (colon and name and all(part.isidentifier() for part in module_name.split("."))):
+    if not (colon and name and re.fullmatch(r"\w+(\.\w+)*", module_name)):
         raise InputError(f'{key} is {path!r}, allowed: "module:name"')
     try:
         value = _import(module_name)

@@ -130,7 +130,7 @@ def test_numbers_of_the_environment_follow_schedules_as_in_a_config():
 def test_the_pendulum_learns_to_stand():
     output = io.StringIO()
     with contextlib.redirect_stdout(output):
-        runpy.run_path(str(EXAMPLES / "pendulum.py"))
+        runpy.run_path(str(EXAMPLES / "07_pendulum.py"), run_name="__main__")
     lines = output.getvalue().splitlines()
     assert len(lines) == 2
     for line in lines:

@@ -1,14 +1,13 @@
-"""A learner of your own on the race: gradient ascent through the simulator, without a critic."""
+"""Another learner on the race: gradient ascent through the simulator, without a critic."""
 
 import jax
 import jax.numpy as jnp
 import optax
 
 import quadjax
-from quadjax import Learner, LearnerSection, TrainState
 
 
-class GradientAscent(LearnerSection):
+class GradientAscent(quadjax.LearnerSection):
     num_envs: int = 64
     horizon: int = 40
     learning_rate: float = 3e-3
@@ -18,7 +17,7 @@ class GradientAscent(LearnerSection):
 
         def init(hyper, params, key):
             w = networks.init(key)
-            return TrainState(w, adam.init(w), None, (), key, jnp.int32(0))
+            return quadjax.TrainState(w, adam.init(w), None, (), key, jnp.int32(0))
 
         def loss(w, params, key):  # of one environment, until it crashes
             def step(carry, _):
@@ -37,13 +36,18 @@ class GradientAscent(LearnerSection):
             gradient = jax.tree.map(lambda g: jnp.nan_to_num(g).mean(axis=0), gradients)
             change, optimizer = adam.update(gradient, old.optimizer)
             w = optax.apply_updates(old.params, change)
-            new = TrainState(w, optimizer, None, (), keys[0], old.update + 1)
+            new = quadjax.TrainState(w, optimizer, None, (), keys[0], old.update + 1)
             return new, {"reward": -losses.mean()}
 
-        return Learner(init, update, {}, self.num_envs * self.horizon)
+        return quadjax.Learner(init, update, {}, self.num_envs * self.horizon)
 
 
-environment, params = quadjax.make_race(quadjax.load("e2e"))
-result = GradientAscent().train(environment, params, steps=200_000)
-reward = result.metrics["reward"]
-print(f"mean reward {reward[:5].mean():.3f} at first, {reward[-5:].mean():.3f} at the end")
+def main():
+    environment, params = quadjax.make_race(quadjax.load("e2e"))
+    result = GradientAscent().train(environment, params, steps=200_000)
+    reward = result.metrics["reward"]
+    print(f"mean reward {reward[:5].mean():.3f} at first, {reward[-5:].mean():.3f} at the end")
+
+
+if __name__ == "__main__":
+    main()

@@ -26,13 +26,18 @@ def step(params, state, action):
     return {"angle": angle, "rate": rate, "clock": clock}, reward, jnp.zeros((), bool), truncated
 
 
-pendulum = quadjax.Environment(reset, observe, step, observation_size=3, action_size=1)
-params = {"gravity": jnp.float32(9.81), "torque": jnp.float32(12.0)}
-learners = {
-    "SHAC": quadjax.SHAC(num_envs=64, horizon=24, cotangent_clip=1.0),
-    "PPO": quadjax.PPO(num_envs=64, rollout_length=50, reward_scale=0.1),
-}
-for name, learner in learners.items():
-    result = learner.train(pendulum, params, steps=300_000)
-    reward = result.metrics["reward"]
-    print(f"{name}: mean reward {reward[0]:.2f} at first, {reward[-5:].mean():.2f} at the end")
+def main():
+    pendulum = quadjax.Environment(reset, observe, step, observation_size=3, action_size=1)
+    params = {"gravity": jnp.float32(9.81), "torque": jnp.float32(12.0)}
+    learners = {
+        "SHAC": quadjax.SHAC(num_envs=64, horizon=24, cotangent_clip=1.0),
+        "PPO": quadjax.PPO(num_envs=64, rollout_length=50, reward_scale=0.1),
+    }
+    for name, learner in learners.items():
+        result = learner.train(pendulum, params, steps=300_000)
+        reward = result.metrics["reward"]
+        print(f"{name}: mean reward {reward[0]:.2f} at first, {reward[-5:].mean():.2f} at the end")
+
+
+if __name__ == "__main__":
+    main()
