@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 WORKERS ?= logical
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train train-indi test test-all docs lint types format benchmark notebooks clean
+.PHONY: help setup train train-indi test test-all docs lint types format benchmark notebooks results clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{sub(/:.*/, "", $$1); printf "  make %-12s %s\n", $$1, $$2}'
@@ -61,6 +61,9 @@ benchmark: $(VENV)/.run ## steps per second and memory on this machine
 
 notebooks: $(VENV)/.test-all ## execute the notebooks in place
 	$(BIN)/python -m tests.docs.notebooks
+
+results: $(VENV)/.run ## write the tables of docs/design/results.md from benchmarks/results.json
+	$(BIN)/python -m benchmarks.results
 
 clean: ## remove the environment and caches, not the runs
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .mypy_cache

@@ -2,7 +2,7 @@
 
 Both have the published hyperparameters, the same environment and one seed, and are evaluated after
 every update. The time of a side counts from the start of its process. Laps are of the mean action
-of the last policy, from hover. Arguments: SECONDS STEPS. Table: docs/design/results.md.
+of the last policy, from hover. Arguments: SECONDS STEPS. Numbers: docs/design/results.md.
 """
 
 import multiprocessing
