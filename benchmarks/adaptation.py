@@ -2,7 +2,7 @@
 
 'without' is a policy that was trained without disturbances; 'zeros' and 'estimated' are the policy
 that observes them, with zeros or with the onboard estimate as the observation. The drones are those
-of configs/conditions/damage.yaml; docs/design/adaptation.md has the table.
+of configs/conditions/damage.yaml; docs/design/adaptation.md has rows of the table.
 
     python -m benchmarks.adaptation [RUNS]
 """

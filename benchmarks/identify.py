@@ -1,6 +1,7 @@
 """Time constants of the inner loop: step responses on the plant, fitted by first-order lags.
 
-From hover, without effects and delays. Table of ``python -m benchmarks.identify``: design/plant.md
+From hover, without effects and delays: ``python -m benchmarks.identify``. Result:
+docs/design/plant.md.
 """
 
 import functools

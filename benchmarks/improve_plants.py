@@ -5,7 +5,7 @@
     done
     python benchmarks/improve_plants.py runs/ten/* --json ten.json
 
-The tables of docs/design/adaptation.md ("Ten plants") are made so. A plant whose check flights have
+The means in docs/design/adaptation.md are made so. A plant whose check flights have
 no finisher before or after does not count in the means, which say how many plants they are of.
 """
 

@@ -4,7 +4,7 @@
 ``check_N_reference.json`` to the folder of ``quadjax improve`` with the same options; then
 ``benchmarks/improve_plants.py`` has the column "reference". The model has the plant's constants and
 battery, and a residual that is fitted to flights with exact sensors, without gusts and delays. The
-training has the steps of all rounds together. The table is in docs/design/adaptation.md.
+training has the steps of all rounds together. The mean is in docs/design/adaptation.md.
 """
 
 import argparse

@@ -1,7 +1,7 @@
 """Measure what the inputs and hidden layers of policies tell about the drones that they fly.
 
 Ridge regressions (Alain and Bengio, 2016, arXiv 1610.01644) from one observation, or one layer, to
-what drawn drones can do, fitted to half of them; the table (docs/design/adaptation.md) has R^2 of
+what drawn drones can do, fitted to half of them; the table has R^2 of
 the other half. ``python -m benchmarks.probe PRESET randomization.all=0.2 --policy FILE``
 """
 

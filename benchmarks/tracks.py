@@ -2,7 +2,7 @@
 
 ``python -m benchmarks.tracks e2e_race --output DIR`` trains, or flies --policy. The table has the
 median of the laps after the first, mean action from hover, and the flights from random starts that
-finish. The same command resumes. docs/design/tracks.md has the table.
+finish. The same command resumes. docs/design/tracks.md has results.
 """
 
 from pathlib import Path
