@@ -12,12 +12,11 @@ from quadjax import sil_message as sil
 HOST, PORT = "127.0.0.1", 40_000 + time.time_ns() % 20_000
 
 
-def control(state):
-    """Body rates, rad/s, and specific thrust, m/s^2: along the line through the next gate."""
+def control(state):  # gives body rates, rad/s, and specific thrust, m/s^2
     yaw = state["gate_yaw_rad"]
-    ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])  # the line through the next gate
     place = state["position_ned_m"] - state["gate_position_ned_m"]
-    aside = place - ahead * (place @ ahead)  # off that line
+    aside = place - ahead * (place @ ahead)  # off this line
     late = place @ ahead > -0.7 and aside @ aside > 0.1  # too close to reach the opening
     wanted = ahead * (-1.0 if late else 3.5 / (1.0 + aside @ aside)) - 2.5 * aside
     force = np.clip(3.0 * (wanted - state["velocity_ned_m_s"]), -7.0, 7.0) - [0.0, 0.0, 9.81]
@@ -28,7 +27,8 @@ def control(state):
 
 
 def main():
-    drone = subprocess.Popen(f"quadjax sil indi --laps 1 --listen {HOST}:{PORT}".split())
+    command = f"-m quadjax sil indi --laps 1 --listen {HOST}:{PORT}"
+    drone = subprocess.Popen([sys.executable, *command.split()])
     autopilot = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     autopilot.connect((HOST, PORT))
     message = sil.new(sil.Kind.HELLO)
