@@ -46,7 +46,7 @@ def evaluate(
     config: Annotated[opt.ConfigName | None, Parameter(name="CONFIG")] = None,
     /,
     *overrides: opt.Overrides,
-    policy: list[opt.PolicyFile] | None = None,
+    policy: opt.PolicyFiles | None = None,
     conditions: Listed = None,
     only: Annotated[list[str] | None, Parameter(consume_multiple=True, metavar="LABEL ...")] = None,
     laps: opt.Laps | None = None,
@@ -138,7 +138,7 @@ def evaluate(
         raise InputError("--policy is missing: the file of the policy, or a shipped one's name")
     if range_ and not fixed_point:
         raise InputError("--range is allowed only with --fixed-point")
-    files = policy or [PRETRAINED / f"{name}.npz" for name in policy_names()]
+    files = list(policy or ()) or [PRETRAINED / f"{name}.npz" for name in policy_names()]
     conditions = "protocols" if conditions is None and len(files) > 1 else conditions
     listed = None if conditions is None else read_conditions(conditions, only)
     if listed is None:

@@ -15,7 +15,7 @@ def logs(
     /,
     *overrides: opt.Overrides,
     output: opt.Folder,
-    policy: list[opt.PolicyFile],
+    policy: opt.PolicyFiles,
     flights: opt.Runs = 4,
     seed: opt.Seed = 0,
     overwrite: opt.Flag = False,

@@ -96,7 +96,9 @@ def _policy_file(_: object, tokens: Sequence[Token]) -> Path:
 def _folder(_: object, tokens: Sequence[Token]) -> Path:
     if not tokens[0].value:
         raise ValueError("'', allowed: the name of a folder")
-    return Path(tokens[0].value)
+    if (path := Path(tokens[0].value)).is_file():
+        raise ValueError(f"{path} is a file, allowed: a folder")
+    return path
 
 
 def config_of(folder: str) -> Parameter:
@@ -136,6 +138,7 @@ FitConfig = Annotated[str, config_of("fit"), Parameter(metavar="FIT.yaml")]
 Race = Annotated[str | None, Parameter(metavar="CONFIG")]
 Folder = Annotated[Path, Parameter(converter=_folder, metavar="DIR")]
 RunsFolder = Annotated[Path, Parameter(converter=_folder, metavar="DIR", help="Write to DIR/NAME.")]
+PolicyFiles = Annotated[tuple[Path, ...], several(_policy_file), Parameter(metavar="FILE.npz")]
 InputFile = Annotated[Path, Parameter(metavar="FILE")]
 Seed = Annotated[int, Parameter(converter=whole(0, MAX_SEED))]
 Seeds = Annotated[tuple[int, ...], several(whole(0, MAX_SEED)), Parameter(metavar="N ...")]

@@ -143,7 +143,7 @@ def sil(
     if source.is_file() and not listen:
         print(f"Then: quadjax export {name_of_source} --target {target} --output out")
     elif not listen:
-        print(f"Then: copy the C of {source} to the autopilot, docs/guide/on_your_drone.md")
+        print(f"Then: copy the C of {source} to the autopilot")
     return INTERRUPTED if last.flight.crash == STOPPED else 0
 
 

@@ -154,7 +154,7 @@ def read_npz(
     """
     check_file(path)
     if not zipfile.is_zipfile(path):
-        raise InputError(f"{path}: not an .npz file")
+        raise InputError(f"{path}: not an .npz file, or one that is cut short")
     try:
         with zipfile.ZipFile(path) as archive:
             entries = [name.removesuffix(".npy") for name in archive.namelist()]

@@ -130,8 +130,8 @@ def results(
     """
     with claim(folder, kind, files, overwrite):
         if not overwrite and any(any(Path(folder).glob(pattern)) for pattern in files):
-            either = "replace it (overwrite=True) or choose another name"
-            raise InputError(f"{folder} holds results of {kind} already: {either}")
+            either = "replace them (overwrite=True) or choose another name"
+            raise InputError(f"{folder} already holds the results of {_noun(kind)}: {either}")
         with replacement(folder, files) as new:
             yield new
 

@@ -43,11 +43,11 @@ def find_config(name: Path | str, folder: str = "") -> Path:
     with reading(name):
         if path.suffix == "" and (path.is_dir() or not path.exists()) and preset.is_file():
             return preset
-        if path.exists() or path.is_symlink():
+        if str(name) and (path.exists() or path.is_symlink()):
             return path
     names, kind = preset_names(folder), "file" if path.suffix else "preset or file"
     hint = close_match(path.stem, names)
-    raise InputError(f"{name}: no such {kind}{hint}; presets: {', '.join(names)}")
+    raise InputError(f"{name or repr(name)}: no such {kind}{hint}; presets: {', '.join(names)}")
 
 
 def find_file(name: str, folders: Sequence[Path], kind: str = "") -> Path:

@@ -16,11 +16,12 @@ commands become integers of 2^-30 of their range. The memory is kept in fine uni
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 
 from quadjax.core.errors import InputError
 from quadjax.export.disturbances import product_fits, speed_exponent
-from quadjax.export.integers import INPUT_BITS, SPLIT, Rescale, enable_x64
+from quadjax.export.integers import INPUT_BITS, SPLIT, Rescale
 from quadjax.vehicle.battery import LOWEST, limit_estimator
 from quadjax.vehicle.motor import MotorConstants
 
@@ -67,7 +68,7 @@ def make_battery(
         InputError: motors so slow that there is no room for the proof.
     """
     top, lag = float(constants.rpm_max), float(constants.tau)
-    with enable_x64(True):
+    with jax.enable_x64(True):
         exact = limit_estimator(top, jnp.float64(lag), sample_rate)
     exponent = speed_exponent(top)
     unit = 2.0 ** (exponent - FINE_BITS)

@@ -116,8 +116,8 @@ def export_c(
     folder = Path(folder)
     file = POLICY_FILE if isinstance(policy, Policy) else Path(policy).name
     symbol = symbol_name(name, file)
-    files = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, ROLLOUTS_FILE, INNER_LOOP)
-    files = (*files, f"{symbol}[._]*", *FOLDERS)
+    inputs = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, ROLLOUTS_FILE, INNER_LOOP)
+    files = (*inputs, f"{symbol}[._]*", *FOLDERS)
     check_new_folder(folder, symbol, overwrite)
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
         numbers = (ranges or {}, *rates)

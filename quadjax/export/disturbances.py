@@ -13,18 +13,17 @@ the gain at rest is one without rounding::
 
 import dataclasses
 import math
-from collections.abc import Sequence
 
+import jax
 import numpy as np
 from scipy.signal import butter, lfilter
 
+from quadjax.core import mlp
 from quadjax.core.errors import InputError
 from quadjax.export.integers import INPUT_BITS, ONE, SPLIT, Rescale
 from quadjax.export.network import FixedLayer, convert_hidden, largest_power
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.residual import Residual
-
-Layer = tuple[np.ndarray, np.ndarray]  # kernel and bias
 
 MODEL_BITS, DIFFERENCE_BITS = 14, 10  # of a monomial's constant beyond the fine unit's
 FINE_BITS = 46  # a channel's range is 2^46 fine units
@@ -96,8 +95,10 @@ def make_estimator(
             thousandth and a quarter of it; constants that leave no room for the proof.
     """
     check_cutoff(sample_rate, cutoff)
-    exponents = (GYRO_EXPONENT,) * 3 + (FORCE_EXPONENT,) * 3
-    exponents += (speed_exponent(float(constants.rpm_max)),) * 4 + (VELOCITY_EXPONENT,) * 3
+    speed = speed_exponent(float(constants.rpm_max))
+    exponents = tuple(
+        np.repeat([GYRO_EXPONENT, FORCE_EXPONENT, speed, VELOCITY_EXPONENT], [3, 3, 4, 3]).tolist()
+    )
     a1, a2 = _feedback(sample_rate, cutoff)
     units = monomial_units(exponents)
     model, differentiated = _model(constants), _differentiated(constants) * 2.0 * sample_rate
@@ -219,7 +220,7 @@ def _feedback(sample_rate: float, cutoff: float) -> tuple[int, int]:
     return round(a[1] * (1 << Q30)), round(a[2] * (1 << Q30))
 
 
-def _row(**terms: float) -> list[float]:
+def _row(**terms: jax.Array | float) -> list[float]:
     return [float(terms.get(name, 0.0)) for name in MONOMIALS]
 
 
@@ -276,7 +277,7 @@ def _with_residual(tables: EstimatorTables, residual: Residual) -> EstimatorTabl
 
 def _network(
     name: str,
-    layers: Sequence[Layer],
+    layers: mlp.Layers,
     ranges: np.ndarray,
     channels: tuple[int, ...],
     sign: float,

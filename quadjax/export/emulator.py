@@ -17,7 +17,6 @@ from quadjax.export.integers import (
     bit_mask,
     dense,
     digest,
-    enable_x64,
     hidden_output,
     quantize,
     round_shift,
@@ -107,7 +106,7 @@ def fixed_point_actor(
     scale = np.float32(2.0**-network.fraction_bits)
 
     def act(observation: jax.Array) -> jax.Array:
-        with enable_x64(True):
+        with jax.enable_x64(True):
             integers = forward(network, observation, jnp)
         return integers.astype(jnp.float32) * scale
 

@@ -174,15 +174,17 @@ def wander(own: OwnRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndar
         return (after, following), following
 
     follow = jax.jit(functools.partial(jax.lax.scan, follow))
-    target, position = 0, np.float32(centers[-1])
-    positions, targets = [], []
+    target, position = 0, centers[-1].astype(np.float32)
+    positions: list[np.ndarray] = []
+    targets: list[int] = []
     while len(targets) < steps:
         aside, above = rng.uniform(-1.6, 1.6, 2) * half[target]
         way = np.array([*ahead[target], 0.0])
         goal = centers[target] + np.array([-way[1] * aside, way[0] * aside, above])
         ends = np.array([position, goal - 0.5 * way, goal + 0.5 * way])
         part = np.linspace(0.04, 1.0, 25)[:, None]
-        leg = np.float32(np.concatenate([a + part * (b - a) for a, b in itertools.pairwise(ends)]))
+        legs = [a + part * (b - a) for a, b in itertools.pairwise(ends)]
+        leg = np.concatenate(legs).astype(np.float32)
         _, after = follow((position, jnp.int32(target)), leg)
         positions += list(leg)
         targets += after.tolist()

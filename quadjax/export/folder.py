@@ -57,10 +57,11 @@ def _read_report(path: Path) -> tuple[Options, str, str, str]:
     try:
         options, file = Options(**report["options"]), str(report["policy"])
         ranges = {str(name): float(value) for name, value in options.ranges.items()}
-        numbers = {name: float(getattr(options, name)) for name in ("sample_rate", "cutoff")}
+        rate, cutoff = float(options.sample_rate), float(options.cutoff)
         symbol_name(options.name, file)
         find_target(options.target)
         text, config_hash = report_text(report, options.name), str(report["config_sha256"])
     except Exception as error:  # of any type, because the values can be anything
         raise InputError(f"{path}: not a report of quadjax export ({error!r:.200})") from error
-    return dataclasses.replace(options, ranges=ranges, **numbers), file, text, config_hash
+    options = dataclasses.replace(options, ranges=ranges, sample_rate=rate, cutoff=cutoff)
+    return options, file, text, config_hash

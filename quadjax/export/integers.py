@@ -11,11 +11,6 @@ from typing import Any
 
 import numpy as np
 
-try:
-    from jax import enable_x64 as enable_x64
-except ImportError:  # JAX before 0.8
-    from jax.experimental import enable_x64 as enable_x64
-
 Array = Any  # np.ndarray or jax.Array
 
 INPUT_BITS = 30  # the edge of a declared range is 2^30

@@ -22,6 +22,8 @@ from quadjax.race.types import Choices, RaceParams
 from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.residual import located
 
+Facts = dict[str, np.ndarray | str | int]  # a property of a race by its name
+
 
 @dataclasses.dataclass(frozen=True)
 class OwnRace:
@@ -149,17 +151,17 @@ def check_race(policy: Policy, own: OwnRace, file: Path) -> str:
     return compared
 
 
-def _differences(trained: dict[str, object], own: dict[str, object]) -> Iterator[str]:
+def _differences(trained: Facts, own: Facts) -> Iterator[str]:
     """The differences between the properties of two races, as text."""
     for name in trained | own:
-        pair = (trained.get(name), own.get(name))
-        if not np.array_equal(*pair):
-            large = max(np.size(x) for x in pair) > 8
-            texts = ["none" if x is None else "other numbers" if large else x for x in pair]
+        there, here = pair = [np.asarray(facts.get(name, "none")) for facts in (trained, own)]
+        if not np.array_equal(there, here):
+            large = max(x.size for x in pair) > 8
+            texts = ["other numbers" if large and x.dtype.kind != "U" else x for x in pair]
             yield f"{name} is {texts[0]} in training, {texts[1]} here"
 
 
-def _facts(own: OwnRace) -> dict[str, object]:
+def _facts(own: OwnRace) -> Facts:
     """The properties by which two races are compared."""
     params = own.params
     parts = {"vehicle": params.vehicle, "track": params.track, "time_step": own.time_step}
@@ -167,8 +169,9 @@ def _facts(own: OwnRace) -> dict[str, object]:
         parts["battery"] = params.battery
     leaves = jax.tree_util.tree_leaves_with_path(parts)
     keystr = functools.partial(jax.tree_util.keystr, simple=True, separator=".")
-    return {
+    facts: Facts = {
         "vehicle.model": own.choices.model.name,
         "gate_test": params.rules.gate_test,
         "the number of gates": len(params.track.yaw),
-    } | {keystr(path): np.asarray(leaf) for path, leaf in leaves}
+    }
+    return facts | {keystr(path): np.asarray(leaf) for path, leaf in leaves}

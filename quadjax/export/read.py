@@ -179,10 +179,10 @@ class _Reader:
 
     def race(self, header: np.ndarray, vehicle: str) -> RaceTables:
         """State, observation and track."""
-        fields = self.take(STRUCTS["field"], header["fields"])
-        exponents = self.take("<i4", header["state_size"]).astype(np.int64)
-        parts = self.take(STRUCTS["part"], header["parts"])
-        numbers = self.take(STRUCTS["input"], header["inputs"])
+        fields = self.take(STRUCTS["field"], int(header["fields"]))
+        exponents = self.take("<i4", int(header["state_size"])).astype(np.int64)
+        parts = self.take(STRUCTS["part"], int(header["parts"]))
+        numbers = self.take(STRUCTS["input"], int(header["inputs"]))
         count, size = int(header["gates"]), STRUCTS["gate"].itemsize // 4
         columns = size + int(header["constants"])
         track = self.take("<i4", count * columns).reshape(count, columns)
@@ -244,9 +244,12 @@ class _Reader:
     def battery(self) -> BatteryTables:
         """The estimator of the highest rpm."""
         own = self.take(STRUCTS["battery"], 1)[0]
-        factors = {name: Rescale(0, int(own[name]), int(own[f"{name}_shift"])) for name in FACTORS}
-        ends = {name: int(own[name]) for name in ("lowest", "highest", "first", "exponent")}
-        return BatteryTables(sample_rate=1e9 / int(own["period_ns"]), **factors, **ends)
+        low_pass, lead, gain = (
+            Rescale(0, int(own[name]), int(own[f"{name}_shift"])) for name in FACTORS
+        )
+        ends = [int(own[name]) for name in ("lowest", "highest", "first")]
+        rate, exponent = 1e9 / int(own["period_ns"]), int(own["exponent"])
+        return BatteryTables(rate, exponent, low_pass, lead, gain, *ends)
 
     def noise(self) -> NoiseTables:
         """The noise of a policy that samples."""
@@ -258,16 +261,16 @@ class _Reader:
         """The self-tests."""
         disturbances, battery = bool(header["estimator"]), bool(header["battery"])
         counts = (
-            header["network_tests"],
-            header["race_tests"],
+            int(header["network_tests"]),
+            int(header["race_tests"]),
             MEASUREMENTS * disturbances,
             SAMPLES * disturbances,
             MEASUREMENTS * battery,
             SAMPLES * battery,
         )
-        arrays = {}
+        arrays: dict[str, np.ndarray] = {}
         groups = case_groups(int(header["inputs"]), int(header["state_size"]))
-        for count, group in zip(map(int, counts), groups, strict=True):
+        for count, group in zip(counts, groups, strict=True):
             width = sum(group.values())
             rows = self.take("<u4", count * width).reshape(count, width)
             columns = np.split(rows, np.cumsum(list(group.values()))[:-1], axis=1)

@@ -5,6 +5,7 @@ import hashlib
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -12,7 +13,7 @@ from quadjax.core import mlp
 from quadjax.export import emulator
 from quadjax.export.cases import uniform_samples
 from quadjax.export.conversion import Converted, sha256
-from quadjax.export.integers import WORD, enable_x64
+from quadjax.export.integers import WORD
 from quadjax.policy.file import Policy
 
 BOX_SAMPLES = 20_000
@@ -21,8 +22,8 @@ Json = dict[str, Any]
 
 def float64_commands(policy: Policy, observations: np.ndarray) -> np.ndarray:
     """Commands (n, 4) of the real-valued policy, in float64."""
-    with enable_x64(True):
-        layers = [tuple(jnp.asarray(x, jnp.float64) for x in layer) for layer in policy.layers]
+    with jax.enable_x64(True):
+        layers = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), policy.layers)
         y = np.asarray(mlp.apply(layers, jnp.asarray(observations, jnp.float64), "relu"))
     low, high = policy.command_low, policy.command_high
     return low + 0.5 * (high - low) * (np.clip(y, -1.0, 1.0) + 1.0)

@@ -45,6 +45,11 @@ def _struct(*fields: str | tuple[str, str] | tuple[str, str, int]) -> np.dtype:
     return np.dtype([(field, "<i4") if isinstance(field, str) else field for field in fields])
 
 
+def _places(struct: np.dtype) -> dict[str, int]:
+    """Byte of the start of each field."""
+    return {name: entry[1] for name, entry in (struct.fields or {}).items()}
+
+
 STRUCTS = {
     "header": _struct(
         *("magic", "version", "bytes", "inputs", "layers", "state_size", "fields", "parts"),
@@ -75,7 +80,7 @@ STRUCTS = {
     "noise": _struct(("factor", "<i4", COMMANDS), "on_clamped", ("digest", "<u4")),
 }
 HEADER = STRUCTS["header"]
-BYTES_AT = HEADER.fields["bytes"][1]
+BYTES_AT = _places(HEADER)["bytes"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,7 +130,7 @@ def layout_header() -> str:
     values |= {"monomials": len(MONOMIALS), "channels": len(CHANNELS)}
     values |= {f"see_{kind}": number for number, kind in enumerate(KINDS, start=1)}
     for name, struct in STRUCTS.items():
-        places = {f"{name}_{field}": struct.fields[field][1] // 4 for field in struct.names or ()}
+        places = {f"{name}_{field}": at // 4 for field, at in _places(struct).items()}
         values |= places | {f"{name}_words": struct.itemsize // 4}
     lines = ",\n".join(f"  QJ_{name.upper()} = {value}" for name, value in values.items())
     return (

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from numpy.typing import ArrayLike
 
 from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
@@ -114,8 +115,8 @@ def make_pilot(choices: Choices, params: RaceParams, policy: Policy, determinist
     """
     vehicle = command_ranges(choices, params)
     # Rounded as the environment's numbers are: equal ranges convert by exactly one and zero.
-    own = [np.float32(x).astype(np.float64) for x in (policy.command_low, policy.command_high)]
-    act_scale, act_offset = _between(own, vehicle)
+    trained = _rounded(policy.command_low, policy.command_high)
+    act_scale, act_offset = _between(trained, vehicle)
     see_scale, see_offset = _observation_scale(
         choices.layout.with_spans(choices.model, params), policy.layout
     )
@@ -127,13 +128,18 @@ def _observation_scale(shown: Layout, own: Layout) -> Ranges:
     """Scale and offset from what an environment shows to what a policy was trained with."""
     scale, offset = np.ones(own.size), np.zeros(own.size)
     for field in own.fields:
-        spans = (shown[field.name].span, field.span)
-        if None in spans or field.name in DISTURBANCES:
+        span, trained = shown[field.name].span, field.span
+        if span is None or trained is None or field.name in DISTURBANCES:
             continue
-        here, there = (np.float32(span).astype(np.float64).T for span in spans)
+        here, there = _rounded(*np.transpose(span)), _rounded(*np.transpose(trained))
         columns = own.slice(field.name)
         scale[columns], offset[columns] = _between(here, there)
     return scale, offset
+
+
+def _rounded(low: ArrayLike, high: ArrayLike) -> Ranges:
+    """A range with ends that are rounded to float32."""
+    return np.asarray(low, np.float32).astype(float), np.asarray(high, np.float32).astype(float)
 
 
 def _between(source: Ranges, target: Ranges) -> Ranges:

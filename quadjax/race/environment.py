@@ -112,10 +112,11 @@ def _estimate(
     choices: Choices, params: RaceParams, state: RaceState, drone: State
 ) -> Estimate | None:
     """The estimate after this step's measurement; no gradient flows through the filter."""
-    if state.estimate is None or params.estimator is None:
+    before = state.estimate
+    if before is None or before.filter is None or params.estimator is None:
         return None
     measured = jax.lax.stop_gradient(choices.model.measure(params.vehicle_of(state), drone))
-    return Estimate(*estimator.update(params.estimator, state.estimate.filter, measured))
+    return Estimate(*estimator.update(params.estimator, before.filter, measured))
 
 
 def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:

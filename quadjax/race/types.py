@@ -100,7 +100,7 @@ class RaceParams(struct.PyTreeNode):
 class Estimate(struct.PyTreeNode):
     """The onboard estimate of the external disturbance."""
 
-    filter: EstimatorState
+    filter: EstimatorState | None  # None: an estimate without its filter
     moment: Vec3  # N m, body
     force: Vec3  # m/s^2, body
 

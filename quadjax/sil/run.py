@@ -272,7 +272,7 @@ def _autopilot(
             return
         report("building the C")
         program, names = build(*flying, 1.0 / world.step)
-        label = label_of(program, flying[0].file)
+        label = label_of(program, flying[0])
         compile_drone()
         stack.enter_context(running(program, port))
         peer = stack.enter_context(greeted(own, kind, START_SECONDS, stop))

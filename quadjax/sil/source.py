@@ -76,7 +76,7 @@ def build(
     return output, text + (f", in the glue of {target.autopilot}" if target.glue else "")
 
 
-def label_of(program: Path, name: str) -> str:
+def label_of(program: Path, converted: Converted) -> str:
     """The label of an autopilot's program, for the table.
 
     Raises:
@@ -84,8 +84,9 @@ def label_of(program: Path, name: str) -> str:
     """
     done = subprocess.run([str(program)], capture_output=True, text=True)
     if done.stdout.strip():
-        raise InputError(f"{name}: the policy cannot fly here: {done.stdout.strip()}")
-    return "exported C, its own estimator" if done.returncode else "exported C"
+        raise InputError(f"{converted.file}: the policy cannot fly here: {done.stdout.strip()}")
+    estimator = ", its own estimator" * bool(done.returncode)
+    return f"exported C{estimator}{', sampled actions' * (converted.fixed.noise is not None)}"
 
 
 def header_text(functions: bool = False) -> str:

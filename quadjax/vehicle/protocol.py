@@ -37,8 +37,7 @@ class Signal(NamedTuple):
     unit: str
 
 
-@struct.dataclass
-class VehicleParams:
+class VehicleParams(struct.PyTreeNode):
     """What a model is computed with; all of it traced.
 
     Attributes:

@@ -154,7 +154,10 @@ def test_the_command_writes_pdf_svg_and_png(tmp_path, capsys):
     slower = states_file(tmp_path / "b.npz", [3.5], vehicle="racing")
     again = ("evaluate", "--flights", slower, "--report", tmp_path / "out")
     assert run(*again) == 2
-    assert "holds results of report already: replace it (--overwrite)" in capsys.readouterr().err
+    assert (
+        "already holds the results of a report: replace them (--overwrite)"
+        in capsys.readouterr().err
+    )
     assert json.loads((tmp_path / "out" / "report.json").read_text()) == result
     (tmp_path / "out" / "notes").write_text("mine")
     assert run(*again, "--overwrite") == 0

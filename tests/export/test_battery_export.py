@@ -189,4 +189,4 @@ def test_sil_refuses_an_estimator_of_another_rate(tmp_path):
     converted = on_board(tmp_path, 512.0)
     program, _ = build(converted, sources_of(converted, tmp_path), 100.0)
     with pytest.raises(InputError, match="cannot fly here: .*the highest rpm is for another rate"):
-        label_of(program, tmp_path / "made.qjp")
+        label_of(program, converted)

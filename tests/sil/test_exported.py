@@ -164,7 +164,7 @@ def test_a_policy_of_earlier_steps_keeps_its_steps_at_another_rate(tmp_path):
     converted = converted_in(tmp_path / "odd", policy, own, "cortex-m7")
     program, _ = build(converted, sources_of(converted, tmp_path / "odd"), 130.0)
     with pytest.raises(InputError, match="no whole number of calls is a step of it, within 3%"):
-        label_of(program, "made.qjp")
+        label_of(program, converted)
 
 
 BAD = {

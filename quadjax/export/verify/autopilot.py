@@ -75,7 +75,7 @@ class Autopilot:
         self.armed = bool(self._library.firmware_call(now, place, int(flies), out))
         return command
 
-    def value(self, name: str, kind: type) -> Any:
+    def value(self, name: str, kind: Any) -> Any:
         """A variable of the stand-in, as a type of ctypes."""
         return kind.in_dll(self._library, name)
 

@@ -173,7 +173,7 @@ class Library:
     def _rows(
         self, name: str, columns: int, kind: type, x: np.ndarray, *between: np.ndarray | int
     ) -> np.ndarray:
-        out = np.zeros((len(x), columns), kind)
+        out: np.ndarray = np.zeros((len(x), columns), kind)
         values = [v.ctypes.data_as(ctypes.c_void_p) if isinstance(v, np.ndarray) else v
                   for v in (self._pilot, np.ascontiguousarray(x), *between, out)]  # fmt: skip
         getattr(self._library, f"harness_{name}")(*values, len(x))

@@ -4,9 +4,11 @@ Needs the packages of the ``verify`` extra: ``unicorn`` and ``pyelftools``.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import SymbolTableSection
 from unicorn import UC_ARCH_ARM, UC_HOOK_CODE, UC_MODE_ARM, UC_MODE_MCLASS, UC_MODE_THUMB, Uc
 from unicorn.arm_const import (
     UC_ARM_REG_C1_C0_2,
@@ -50,7 +52,7 @@ class Machine:
             processor: a name of ``MODELS``.
         """
         mode, model = MODELS[processor]
-        self._cpu = Uc(UC_ARCH_ARM, mode)
+        self._cpu: Any = Uc(UC_ARCH_ARM, mode)  # of a subclass that its package does not declare
         self._cpu.ctl_set_cpu_model(model)
         self._thumb = int(mode == MICROCONTROLLER)  # bit 0 of the address of a function
         self.symbols: dict[str, int] = {}
@@ -78,8 +80,9 @@ class Machine:
                 self._cpu.mem_map(page * PAGE, PAGE)
             for segment in segments:
                 self._cpu.mem_write(segment["p_vaddr"], segment.data())
-            for symbol in elf.get_section_by_name(".symtab").iter_symbols():
-                self.symbols[symbol.name] = symbol["st_value"]
+            table = elf.get_section_by_name(".symtab")
+            if isinstance(table, SymbolTableSection):
+                self.symbols |= {s.name: s["st_value"] for s in table.iter_symbols()}
 
     def place(self, values: np.ndarray) -> int:
         """Copy an array into the machine; returns its address, a multiple of 16."""

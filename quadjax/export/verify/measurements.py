@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.export.integers import enable_x64
 from quadjax.vehicle import battery, estimator, motor
 from quadjax.vehicle.battery import LimitEstimatorState as Limit
 from quadjax.vehicle.estimator import EstimatorState
@@ -31,7 +30,7 @@ def estimate_float64(
     vehicle: VehicleParams, measured: np.ndarray, rate: float, cutoff: float
 ) -> np.ndarray:
     """Moments and forces (n, 6) of ``quadjax.vehicle.estimator`` in float64, of (n, 13)."""
-    with enable_x64(True):
+    with jax.enable_x64(True):
         exact = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), vehicle)
         params = estimator.estimator_params(motor.MODEL, exact, rate, cutoff)
         columns = jnp.asarray(measured, jnp.float64).T
@@ -69,7 +68,7 @@ def highest_float64(
     c: MotorConstants, first: float, samples: np.ndarray, rate: float
 ) -> np.ndarray:
     """Estimates (n,), rpm, of ``quadjax.vehicle.battery`` in float64, from samples (n, 8)."""
-    with enable_x64(True):
+    with jax.enable_x64(True):
         top, lag = (jnp.float64(float(x)) for x in (c.rpm_max, c.tau))
         params, rows = battery.limit_estimator(top, lag, rate), jnp.asarray(samples, jnp.float64)
 

@@ -53,6 +53,7 @@ def verify(
     """
     enable_compilation_cache()
     path, converted, files = Path(path), None, None
+    names: tuple[str, ...]
     if path.suffix == ".qjp":
         fixed, names, target = read_qjp(path), OF_A_FILE, TARGETS["qjp"]
         words, text = pack(fixed), "1 file"
