@@ -15,7 +15,7 @@ from quadjax.export import emulator
 from quadjax.export.battery import FINE_BITS, make_battery
 from quadjax.export.estimator_emulator import FINE, Battery, estimate_highest
 from quadjax.export.flights import Rollouts
-from quadjax.export.integers import enable_x64, quantize
+from quadjax.export.integers import quantize
 from quadjax.export.network import convert
 from quadjax.export.race_source import check_race, own_race
 from quadjax.export.verify import measurements
@@ -103,7 +103,7 @@ def exact_update(memory, q, numbers, tables, row):
 @pytest.mark.parametrize("rate", [512.0, 1.0, 1e5])
 def test_one_sample_is_that_of_rational_numbers_from_any_memory(rate):
     rng, tables = np.random.default_rng(1), make_battery(constants(), 10000.0, rate)
-    with enable_x64(True):
+    with jax.enable_x64(True):
         c = constants()
         p = limit_estimator(float(c.rpm_max), np.float64(float(c.tau)), rate)
     numbers = [Fraction(float(x)) for x in (p.low_pass, p.lead, p.gain)]

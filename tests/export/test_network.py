@@ -16,7 +16,7 @@ from quadjax.core.resources import PRETRAINED
 from quadjax.export import emulator
 from quadjax.export.cases import check_vectors, hostile_vectors
 from quadjax.export.emulator import fixed_point_actor, fixed_point_fly
-from quadjax.export.integers import ONE, enable_x64
+from quadjax.export.integers import ONE
 from quadjax.export.network import LARGEST_HIDDEN, convert
 from quadjax.export.proof import error_bound, prove
 from quadjax.export.ranges import declare, parse_overrides
@@ -61,7 +61,7 @@ def every(*fast):
 def test_jax_is_numpy_bit_for_bit(name):
     _, network = named_network(name)
     x = np.concatenate([check_vectors(network, 4000, None), hostile_vectors(network)])
-    with enable_x64(True):
+    with jax.enable_x64(True):
         found = jax.jit(functools.partial(emulator.forward, network, xp=jnp))(x)
     assert found.dtype == np.int32
     assert np.array_equal(np.asarray(found), emulator.forward(network, x))
