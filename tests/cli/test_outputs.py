@@ -22,15 +22,6 @@ def refusal(capsys, *arguments):
     return error
 
 
-def test_the_password_of_a_database_is_not_printed(tmp_path, capsys):
-    error = refusal(
-        capsys, "sweep", "learning_rate", "storage=postgres://bob:x@h/db", "--output", tmp_path
-    )
-    assert "storage cannot be used" in error and "bob:x" not in error
-    url = "executor=postgresql://bob:x@h/db"  # another key
-    assert "://bob:***@h/db" in refusal(capsys, "sweep", "learning_rate", url)
-
-
 @pytest.mark.parametrize("other", ["policy", "config", "states", "override", "link"])
 def test_an_output_does_not_replace_another_file_of_the_command(tmp_path, capsys, other):
     policy, config, states = tmp_path / "p.npz", tmp_path / "c.yaml", tmp_path / "s.npz"
@@ -85,45 +76,30 @@ def test_an_output_does_not_replace_a_pipe(tmp_path, capsys):
     assert "not a regular file" in error and (tmp_path / "pipe").is_fifo()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "file"),
-    [
-        (("export", PRETRAINED / "e2e.npz", "--output"), "thesis.tex"),
-        (("export", PRETRAINED / "e2e.npz", "--name", "mine", "--output"), "mine.c"),
-        (("logs", "exact", "--policy", "e2e", "--output"), "e2e_0.csv"),
-        (("sweep", "learning_rate", "name=one", "--report", "--output"), "report.md"),
-        (("sweep", "learning_rate", "name=one", "--output"), "trials"),
-    ],
-    ids=lambda value: value if isinstance(value, str) else value[0],
-)
-def test_somebody_s_files_are_not_replaced(tmp_path, capsys, arguments, file):
-    folder = tmp_path / "one"
-    folder.mkdir()
-    (folder / file).write_text("mine")
-    output = tmp_path if arguments[0] == "sweep" else folder
-    error = refusal(capsys, *arguments, output)
-    assert file in error and "--overwrite" in error
-    assert [path.name for path in folder.iterdir()] == [file]
+SOMEBODYS = """
+export e2e --output one | thesis.tex | --overwrite
+export e2e --name mine --output one | mine.c | --overwrite
+logs exact --policy e2e --output one | e2e_0.csv | --overwrite
+sweep learning_rate name=one --report --output . | report.md | --overwrite
+sweep learning_rate name=one --output . | trials | --overwrite
+replay log.csv --vehicle bebop1.yaml --name one --output . | replay.json | holds no replay, but
+sil indi_shac --name one --output . | sil.json | holds no flight, but
+compare standin --name one --output . | compare.json | holds no comparison, but
+""".strip().splitlines()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "kind", "file"),
-    [
-        (("replay", "log.csv", "--vehicle", "bebop1.yaml"), "replay", "replay.json"),
-        (("sil", "indi_shac"), "flight", "sil.json"),
-        (("compare", "standin"), "comparison", "compare.json"),
-    ],
-    ids=lambda value: value if isinstance(value, str) else value[0],
-)
-def test_earlier_results_are_replaced_only_with_overwrite(tmp_path, capsys, arguments, kind, file):
+def test_somebody_s_files_are_not_replaced(tmp_path, capsys, monkeypatch):
     """They are refused at once, before logs are read, C is compiled or flights are simulated."""
-    name, *words = [tmp_path if word == "one" else word for word in arguments]
-    folder = tmp_path / name
-    folder.mkdir()
-    (folder / file).write_text("earlier")
-    error = refusal(capsys, name, *words, "--output", tmp_path)
-    assert f"holds no {kind}, but {file}: choose another folder, or replace" in error
-    assert (folder / file).read_text() == "earlier" and len(list(folder.iterdir())) == 1
+    for number, row in enumerate(SOMEBODYS):
+        command, file, expected = row.split(" | ")
+        folder = tmp_path / str(number) / "one"
+        folder.mkdir(parents=True)
+        (folder / file).write_text("mine")
+        monkeypatch.chdir(folder.parent)
+        error = refusal(capsys, *command.split())
+        assert file in error and expected in error, row
+        assert [path.name for path in folder.iterdir()] == [file]
+        assert (folder / file).read_text() == "mine"
 
 
 def test_the_steps_of_a_command_are_lines_where_there_is_no_terminal(monkeypatch):

@@ -238,6 +238,31 @@ vehicle.model=rate observation.disturbance=estimated | observation.disturbance i
 vehicle.model=rate vehicle.constants.thrust_max=9 | give a thrust of 0 to 0.917
 run.steps=1000000 'schedules.reward.gate={linear: [0, value], until: 2e6}' | at most run.steps
 'schedules.reward.gate={linear: [0, value], from: 0.5, until: 0.4}' | before until 0.4
+'track.start={position: [0, 0, 0]}' | track.start.position is [0.0, 0.0, 0.0]
+'rules.bounds=[[-1, 4], [-2, 2], [-5, 0]]' | within rules.bounds
+track.closed=false evaluate.laps=1 | track.start is None, allowed
+track.closed=false 'track.start={position: [-3, -1.5, -1.5]}' | evaluate.laps is 6, allowed: 1 with
+rules.body_radius=0.5 | above 1, of training_limits.gate_inflation and rules.body_radius
+'track.gates=[{position: [0, 0, -2], pitch_deg: -90}]' rules.gate_test=world_box | square, because
+'track.gates=[{position: [0, 0, -2], size: [2, 1], shape: circle}]' | of a circle
+'rules.body_rate_limit=[20, 20]' | body_rate_limit
+'observation.history={}' | fields is [], allowed: one or more of position, velocity,
+'observation.history={fields: [rpm, actuators]}' | each once
+'observation.history={fields: [rpm], steps: 16, every: 5}' | steps is 16, allowed: at most 12
+track.generate=3 | track.generate is 3, allowed: a mapping
+'track.generate.leg=[5, 3]' | leg is [5, 3], allowed: [lowest, highest]
+'track.generate.leg=[1, 2]' | leg is [1.0, 2.0], allowed: a longest of at least
+track.generate.leg_ratio=3 | leg_ratio is 3, allowed with leg [3.0, 8.0]: less than
+'track.generate.height=[1, 2]' | height is [1.0, 2.0], allowed: at least
+track.generate.turn_deg=20 | found no track with gates 8, leg [3.0, 8.0] and turn_d
+track.generate.seed=1 track.closed=false | track.closed has no effect
+track=square4 track.generate.seed=1 | track.gates has no effect
+track.generate.seed=1 rules.position_limit=3 | track.gates[0].position is
+observation.constants=true | observation.constants is True, allowed: false where ra
+randomization.thrust=0.2 'observation={constants: true, critic_constants: true}' | false with observ
+observation.critic_constants=true | critic_constants is True, allowed: false where rand
+randomization.all=0.2 randomization.width=0 observation.critic_constants=true | critic_constants is
+track.closed=false 'track.start={position: [0, 0, -1]}' 'evaluate={laps: 1, gates: 3}' | null with
 """.strip().splitlines()
 
 
@@ -301,32 +326,21 @@ def test_vehicle_file_with_a_model_and_constants_of_rotors(tmp_path):
     assert [constants[f"k_q{i}"] for i in (1, 2, 3, 4)] == [8e-6, 9e-6, 8e-6, 8e-6]
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (
-            "rear_left,",
-            "middle,",
-            "rotors is ['middle', 'rear_right', 'front_right', 'front_left']",
-        ),
-        (
-            "[4.0e-6, 3.0e-6, 2.0e-6, 1.0e-6]",
-            "[4, 3]",
-            "racing.k_p is [4, 3], allowed: one value for each rotor",
-        ),
-        ("[ccw, cw, ccw, cw]", "[left, cw, ccw, cw]", "allowed: cw or ccw for each"),
-        ("k_q: 5.0e-6", "k_q1: 5", "vehicle.constants.k_q2 is missing"),
-        (
-            "model: racing",
-            "size: 3",
-            "mine.yaml: size is 3; allowed: name, mass, width, fitted_speed, model, rotors",
-        ),
-    ],
-)
-def test_errors_in_vehicle_files(tmp_path, old, new, message):
-    assert old in ROTOR_FILE
-    (tmp_path / "mine.yaml").write_text(ROTOR_FILE.replace(old, new))
-    assert message in refusal("e2e", f"vehicle={tmp_path / 'mine.yaml'}")
+WRONG_ROTORS = """
+rear_left, | middle, | rotors is ['middle', 'rear_right', 'front_right', 'front_left']
+[4.0e-6, 3.0e-6, 2.0e-6, 1.0e-6] | [4, 3] | racing.k_p is [4, 3], allowed: one value for each rotor
+[ccw, cw, ccw, cw] | [left, cw, ccw, cw] | allowed: cw or ccw for each
+k_q: 5.0e-6 | k_q1: 5 | vehicle.constants.k_q2 is missing
+model: racing | size: 3 | mine.yaml: size is 3; allowed: name, mass, width, fitted_speed, model, rot
+""".strip().splitlines()
+
+
+def test_errors_in_vehicle_files(tmp_path):
+    for row in WRONG_ROTORS:
+        old, new, message = row.split(" | ")
+        assert old in ROTOR_FILE
+        (tmp_path / "mine.yaml").write_text(ROTOR_FILE.replace(old, new))
+        assert message in refusal("e2e", f"vehicle={tmp_path / 'mine.yaml'}")
 
 
 def test_a_drone_without_a_rate_level_is_refused_where_body_rates_are_commanded():

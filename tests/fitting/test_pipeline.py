@@ -81,26 +81,6 @@ def test_the_choice_of_constants_for_a_held_out_flight_is_made_without_it(bebop,
     assert without.k_x != bebop.k_x and without.k_x == pytest.approx(bebop.k_x, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["residual.hiden=3"],
-        ["residual.seeds=many"],
-        ["vehicle=nowhere.yaml"],
-        ["body.inertia=null"],
-        ["body.rpm_range=[5000, 3000]"],
-        ["body.rpm_range=[5000, 5000]"],
-        ["logs.columns.rpms=[a]"],
-        ["logs.columns.rpm=[a]"],
-        ["logs.min_seconds=100"],
-    ],
-)
-def test_bad_overrides_are_one_line(folder, arguments):
-    with pytest.raises(InputError) as caught:
-        fit(load_fit_config(CONFIG, [f"logs.files=[{folder}/*.csv]", *arguments]), CONFIG.parent)
-    assert "\n" not in str(caught.value)
-
-
 def test_missing_logs_of_the_simulated_drone_say_how_they_are_made(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run("fit", "standin") == 2

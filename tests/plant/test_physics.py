@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts, plant
 from quadjax.plant.airframe import airframe_force_moment
@@ -220,27 +219,3 @@ def test_constants_are_drawn_once_within_their_spread():
     assert drawn_factors(other)[0] != factors
     off, level = drawn_factors(OFF)
     assert set(off.values()) == {1.0} and np.all(level == 1.0)
-
-
-@pytest.mark.parametrize(
-    ("word", "names"),
-    [
-        ("control_rate=300", "control_rate is 300"),
-        ("sample_rate=400", "sample_rate"),
-        ("navigation=gps", "navigation"),
-        ("effects.flapping=-1", "effects.flapping"),
-        ("airframe.speed_loss=[0.2,0.1]", "is [0.2, 0.1], allowed: [lowest, highest]"),
-        ("battery.charge=[1.0,0.5]", "battery.charge"),
-        ("indi.cutoff=400", "indi.cutoff"),
-        ("sensors.mocap.rate=501", "at most 500 Hz"),
-        ("sensors.mocap.latency=0.5", "sensors.mocap.latency is 0.5, allowed: 0 to 0.12 s"),
-        ("sensors.mocap.dropout=1", "sensors.mocap.dropout is 1"),
-        ("sensors.accelerometer.bias_walk=.nan", "sensors.accelerometer.bias_walk is nan"),
-        ("sensors.gyro.low_pass=250", "sensors.gyro.low_pass is 250.0, allowed: 0 (none)"),
-        ("sensors.gps=1", "unknown key sensors.gps"),
-    ],
-)
-def test_impossible_values_are_one_line(word, names):
-    with pytest.raises(InputError) as error:
-        load_plant_config("configs/plant/standin.yaml", [word])
-    assert names in str(error.value) and "\n" not in str(error.value)

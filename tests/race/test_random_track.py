@@ -91,26 +91,6 @@ def test_settings_come_from_files_and_overrides(tmp_path):
     assert load_config(saved) == load_config(config)
 
 
-IMPOSSIBLE = (
-    (["track.generate=3"], "track.generate is 3, allowed: a mapping"),
-    (["track.generate.leg=[5, 3]"], "leg is [5, 3], allowed: [lowest, highest]"),
-    (["track.generate.leg=[1, 2]"], "leg is [1.0, 2.0], allowed: a longest of at least 2.3"),
-    (["track.generate.leg_ratio=3"], "leg_ratio is 3, allowed with leg [3.0, 8.0]: less than"),
-    (["track.generate.height=[1, 2]"], "height is [1.0, 2.0], allowed: at least 1.05"),
-    (["track.generate.turn_deg=20"], "found no track with gates 8, leg [3.0, 8.0] and turn_d"),
-    (["track.generate.seed=1", "track.closed=false"], "track.closed has no effect"),
-    (["track=square4", "track.generate.seed=1"], "track.gates has no effect"),
-    (["track.generate.seed=1", "rules.position_limit=3"], "track.gates[0].position is"),
-)
-
-
-def test_impossible_settings_are_one_line():
-    for overrides, message in IMPOSSIBLE:
-        with pytest.raises(InputError) as error:
-            load_config(PRESET, overrides)
-        assert message in str(error.value) and "\n" not in str(error.value), overrides
-
-
 def test_the_command_writes_and_describes_a_track(tmp_path, capsys):
     file, figure = str(tmp_path / "new.yaml"), tmp_path / "new.png"
     assert run("show", file, "seed=4", "gates=6", "--write", "track", "--figure", figure) == 0

@@ -172,18 +172,11 @@ BAD = {
     "made/made.qjp": "made: expected one *_report.json",
     ".": "expected one *_report.json",
     "no_c": "expected one *_report.json",
-    "indi --listen 5005": "allowed: HOST:PORT",
-    "indi --delay 5": "--delay has no effect without --late",
-    "indi --simulator effects.gusts=0": "no effect with --simulator",
-    "indi --wrong-unit rates=turns": "--wrong-unit rates=turns, allowed:",
-    "indi --drop 2": "allowed: a number, 0 to 1",
-    "indi --speed 0": "allowed: a number, 0.01",
-    "indi wings=2": "wings",
     "exported --target px4": "--target has no effect with the folder of an export",
 }
 
 
-def test_bad_input_is_one_line(tmp_path, monkeypatch, capfd):
+def test_a_folder_of_another_kind_is_one_line(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     for folder in ("no_c", "made", "exported"):
         (tmp_path / folder).mkdir()
@@ -255,7 +248,3 @@ def test_a_machine_without_compiler_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(toolchain, "has_module", lambda name: False)
     with pytest.raises(InputError, match="no C compiler on this machine"):
         build(converted, sources, 100.0)
-
-
-def test_what_the_counts_mean_is_said():
-    assert {"held steps", "late steps", "slow steps"} < set(sil.MEANINGS)

@@ -62,6 +62,17 @@ train e2e rules.extra=[nosuch:term] | nosuch
 train e2e reward.extra=[code] | reward.extra
 train e2e 'schedules.nosuch.key={linear: [0, 1]}' | schedules nosuch
 train e2e 'schedules.learner.std={linear: [0, a]}' | schedules learner.std
+train e2e 'schedules.evaluate.laps={linear: [1, 2]}' | evaluate.laps key number
+train e2e 'schedules.run.checkpoint_seconds={linear: [value, 2]}' | checkpoint_seconds effect
+train e2e reward.gate=3 'schedules.reward.gate={linear: [3, 3]}' | reward.gate effect
+train 'e2e +fastest' 'learner.horizon=2 legs' | learner.horizon legs times
+train 'e2e +fastest' 'learner.discount=-1 leg times' | learner.discount -1 above 0
+train 'e2e +fastest' 'learner.horizon=1e308 leg times' | horizon 1e308 most 1e+09
+train 'e2e +fastest' 'learner.num_envs=3 legs' | learner.num_envs legs per
+train 'e2e +fastest' 'reward.gate_edge=3 legs' | gate_edge per half gate
+train 'e2e +fastest' 'reward.gate=2 feet' | reward.gate feet number
+train 'e2e +fastest' 'run.steps=1 leg times' | run.steps whole number
+train 'e2e +fastest' 'schedules.learner.std.linear=[1 legs, 2]' | learner.std.linear[0] legs
 train e2e_ppo learner.num_envs=10 learner.num_minibatches=7 | num_minibatches
 train e2e --fine-tune bytes.npz | bytes.npz
 train e2e --fine-tune nosuch.npz | nosuch.npz
@@ -94,6 +105,19 @@ compare standin --e2e indi | rate motor
 compare standin effects.wind=1 | effects.wind
 compare standin --runs 25 | --runs multiples (10)
 compare standin --name ../zz | ../zz
+compare standin control_rate=300 | control_rate 300
+compare standin sample_rate=400 | sample_rate
+compare standin navigation=gps | navigation gps
+compare standin effects.flapping=-1 | effects.flapping -1
+compare standin 'airframe.speed_loss=[0.2, 0.1]' | [0.2, [lowest,
+compare standin 'battery.charge=[1.0, 0.5]' | battery.charge
+compare standin indi.cutoff=400 | indi.cutoff 400
+compare standin sensors.mocap.rate=501 | 500 Hz
+compare standin sensors.mocap.latency=0.5 | sensors.mocap.latency 0.5 0.12
+compare standin sensors.mocap.dropout=1 | sensors.mocap.dropout
+compare standin sensors.accelerometer.bias_walk=.nan | bias_walk nan
+compare standin sensors.gyro.low_pass=250 | sensors.gyro.low_pass 250 (none)
+compare standin sensors.gps=1 | sensors.gps
 improve e2e --policy e2e --logs nosuch.csv | nosuch.csv
 improve e2e --policy e2e --logs short.csv --seed 0 | --seed effect --logs
 improve e2e --policy e2e --rounds 0 | --rounds 100
@@ -108,12 +132,25 @@ limit e2e --laps 3 --gates 3 | --gates
 limit e2e --speed 0 | --speed
 limit e2e --bound-speed 0 | --bound-speed
 limit e2e --centers --clearance 1 | --clearance --centers
+limit 'indi +fastest' --clearance 0.5 | gate 1 0.5
+limit 'indi +fastest' rules.gate_test=world_box | world_box
 sweep nosuch | nosuch
 sweep key.yaml | key.yaml
 fit nosuch | nosuch
 fit standin logs.files=[empty.csv] | empty.csv
 fit standin logs.files=[short.csv] | short.csv
 fit standin logs.files=[nosuch.csv] | nosuch.csv
+fit paparazzi logs.files=[] | logs.files
+fit paparazzi logs.files=[short.csv] logs.format=betaflight | logs.format betaflight blackbox
+fit paparazzi logs.files=[short.csv] logs.format=nowhere:FORMAT | logs.format nowhere
+fit paparazzi logs.files=[short.csv] logs.columns.rpms=[a] | rpms
+fit paparazzi logs.files=[short.csv] logs.columns.rpm=[a] | rpm
+fit paparazzi logs.files=[short.csv] residual.hiden=3 | residual.hiden epochs
+fit paparazzi logs.files=[short.csv] residual.seeds=many | residual.seeds many
+fit paparazzi logs.files=[short.csv] vehicle=nowhere.yaml | nowhere.yaml
+fit paparazzi logs.files=[short.csv] body.inertia=null | body.inertia
+fit paparazzi logs.files=[short.csv] 'body.rpm_range=[5000, 3000]' | body.rpm_range
+fit paparazzi logs.files=[short.csv] 'body.rpm_range=[5000, 5000]' | body.rpm_range
 replay empty.csv --policy e2e | empty.csv
 replay short.csv --policy e2e --logs paparazzi | short.csv
 replay short.csv | --policy --vehicle
@@ -127,6 +164,13 @@ export e2e --output notes.txt | notes.txt
 export e2e --output out --target avr | avr cortex-a9
 export e2e --output out --range nosuch=4 | nosuch
 export e2e --output out --range position=-1 | position
+export e2e --output out --range velocity=3 | velocity power two
+export e2e --output out --range velocity=nan | velocity power two
+export e2e --output out --range velocity | velocity number
+export e2e --output out --range velocity=32 --range velocity=16 | velocity two
+export e2e --output out --name qj | runtime names
+export e2e --output out --name quadjax_policy | runtime names
+export e2e --output out --track nowhere.yaml | nowhere.yaml
 export e2e --output= | --output
 export e2e --output out --target px4 | px4 motor racing vehicle=5inch
 verify nosuch | nosuch
@@ -134,12 +178,23 @@ verify notes.txt | notes.txt
 sil nosuch | nosuch --listen
 sil e2e --target px4 | px4 motor racing vehicle=5inch
 sil words.qjp | words.qjp folder
+sil indi --listen 5005 | HOST:PORT
+sil indi --delay 5 | --delay effect --late
+sil indi --simulator effects.gusts=0 | effect --simulator
+sil indi --wrong-unit rates=turns | --wrong-unit rates=turns
+sil indi --drop 2 | 0 to 1
+sil indi --speed 0 | --speed 0.01
+sil indi wings=2 | wings
 import e2e notes.txt --output new.npz | notes.txt
 import e2e bytes.npz --output new.npz | bytes.npz
 show nosuch | nosuch
 show square4 extra | extra
 show square4 --figure nosuch/x.png | nosuch
 show e2e run.steps=-5 | run.steps -5
+show new.yaml --write vehicle mass=0.6 wheelbase=0.2 propeller=0.1 | motor_kv
+show new.yaml --write vehicle mass=0.6 wheelbase=0.2 propeller=0.1 thrust_to_weight=0.5 | 0.5
+show new.yaml --write vehicle mass=0.6 wheelbase=0.2 propeller=0.1 'inertia=[0, 1, 1]' | inertia
+show new.yaml --write vehicle mass=0.6 wheelbase=0.2 propellor=0.1 | propellor propeller
 nosuch | nosuch train
 """.strip().splitlines()
 

@@ -6,7 +6,6 @@ import pytest
 
 from quadjax.config.assembly import make_choices, make_params
 from quadjax.config.loading import load_config
-from quadjax.core.errors import InputError
 from quadjax.training.build import make_learner
 
 TINY = [
@@ -78,17 +77,3 @@ def test_constants_and_randomization_can_be_scheduled():
     assert make_choices(config).randomize
     ((_, params),) = at(config, 5)
     assert float(params.randomization.k_x) == pytest.approx(0.1)
-
-
-@pytest.mark.parametrize(
-    ("schedule", "message"),
-    [
-        ("evaluate.laps={linear: [1, 2]}", "evaluate.laps is 6, allowed: the key of a number"),
-        ("run.checkpoint_seconds={linear: [value, 2]}", "has no effect"),
-        ("reward.gate={linear: [3, 3]}", "has no effect"),
-    ],
-)
-def test_only_numbers_of_training_can_be_scheduled(schedule, message):
-    own = "reward.gate=3"
-    with pytest.raises(InputError, match=message):
-        make_learner(tiny("e2e", f"schedules.{schedule}", own))

@@ -81,7 +81,3 @@ def test_what_cannot_be_specialized_is_refused(tmp_path):
     assert outside(seeing, quadjax.load(BLANK)) == []
     far = ["vehicle.constants.k_w=9e-8", "vehicle.constants.k_x=1e-4"]
     assert outside(seeing, quadjax.load(BLANK, far)) == ["k_x", "k_w"]
-    with pytest.raises(InputError, match="observation.constants is True, allowed: false where ra"):
-        make_config(SEES)
-    with pytest.raises(InputError, match="critic_constants is True, allowed: false with observ"):
-        make_config(DRAWN, SEES, "observation.critic_constants=true")

@@ -9,37 +9,25 @@ from tests.commands import run
 from tests.config.test_loading import BLANK
 
 SMALL = ["run.steps=64", "run.evaluate_every=64", "network.hidden=[8]", "run.devices=1"]
-OWN = "tests.training.own"
 
 
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        (
-            f"reward.terms={{{OWN}:vector: 1.0}}",
-            f"reward term {OWN}:vector gives an array of shape (4,), expected one number of shape",
-        ),
-        (
-            f"reward.terms={{{OWN}:attribute: 1.0}}",
-            f"{OWN}:attribute: AttributeError: 'Step' object has no attribute 'nosuch' (",
-        ),
-        ("rules.extra=['sys:exit']", "rule sys:exit: SystemExit: "),
-        (f"learner.algorithm={OWN}:LEAVES", f"learner.algorithm {OWN}:LEAVES: SystemExit: 3 ("),
-        (
-            f"observation.extra=['{OWN}:THREE']",
-            "observation field 'three' gives 3 numbers, expected one number (its size)",
-        ),
-        (
-            f"observation.extra=['{OWN}:vector']",
-            f"{OWN}:vector is a function, expected a quadjax.Field",
-        ),
-        (f"learner.algorithm={OWN}:NoLearner", "make() gives a NoneType, expected a quadjax.L"),
-        (f"learner.algorithm={OWN}:NO_STATE", "NO_STATE: init gives ShapeDtypeStruct("),
-        (f"learner.algorithm={OWN}:NO_METRICS", f"learner.algorithm {OWN}:NO_METRICS: "),
-        (f"learner.algorithm={OWN}:DIVIDES", f"{OWN}:DIVIDES: ZeroDivisionError: division"),
-    ],
-)
-def test_a_wrong_function_is_one_line_before_the_folder_exists(override, message, tmp_path):
+WRONG = """
+reward.terms={OWN:vector: 1.0} | reward term OWN:vector gives an array of shape (4,), expected one
+reward.terms={OWN:attribute: 1.0} | OWN:attribute: AttributeError: 'Step' object has no attribute 'n
+rules.extra=['sys:exit'] | rule sys:exit: SystemExit:
+learner.algorithm=OWN:LEAVES | learner.algorithm OWN:LEAVES: SystemExit: 3 (
+observation.extra=['OWN:THREE'] | field 'three' gives 3 numbers, expected one number (its size)
+observation.extra=['OWN:vector'] | OWN:vector is a function, expected a quadjax.Field
+learner.algorithm=OWN:NoLearner | make() gives a NoneType, expected a quadjax.L
+learner.algorithm=OWN:NO_STATE | NO_STATE: init gives ShapeDtypeStruct(
+learner.algorithm=OWN:NO_METRICS | learner.algorithm OWN:NO_METRICS:
+learner.algorithm=OWN:DIVIDES | OWN:DIVIDES: ZeroDivisionError: division
+""".strip().splitlines()
+
+
+@pytest.mark.parametrize("row", WRONG)
+def test_a_wrong_function_is_one_line_before_the_folder_exists(row, tmp_path):
+    override, _, message = row.replace("OWN", "tests.training.own").partition(" | ")
     config = load_config(BLANK, [*SMALL, override])
     with pytest.raises(InputError) as caught:
         train(config, tmp_path / "run", progress=False)

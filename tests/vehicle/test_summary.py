@@ -82,21 +82,6 @@ def test_a_file_from_data(tmp_path, capsys):
     assert "exists already" in capsys.readouterr().err
 
 
-IMPOSSIBLE = (
-    ((*DATA[:3],), "motor_kv"),
-    ((*DATA, "thrust_to_weight=0.5"), "thrust_to_weight is 0.5"),
-    ((*DATA, "inertia=[0, 1, 1]"), "inertia"),
-    ((*DATA, "propellor=0.1"), "did you mean propeller"),
-)
-
-
-def test_impossible_data(tmp_path, capsys):
-    for arguments, message in IMPOSSIBLE:
-        assert run("show", tmp_path / "mine.yaml", "--write", "vehicle", *arguments) == 2
-        assert message in capsys.readouterr().err
-        assert not (tmp_path / "mine.yaml").exists()
-
-
 def test_a_rate_model_alone(tmp_path, capsys):
     path = tmp_path / "rate.yaml"
     path.write_text("rate: " + str(ref.RATE).replace("'", "") + "\n")
