@@ -3,7 +3,10 @@
 import pytest
 
 from quadjax.export import flights
+from tests.c_cache import compiled_once
 from tests.export.support import export_of, random_rollouts
+
+fixtures = (compiled_once,)
 
 
 @pytest.fixture(scope="session")
@@ -11,13 +14,13 @@ def exported(tmp_path_factory):
     """The folder of a motor-level policy, with random states in place of those of flights."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flights, "simulate", random_rollouts)
-        return export_of(tmp_path_factory.mktemp("motor"), "motor")
+        return export_of(tmp_path_factory.mktemp("motor"))
 
 
-@pytest.fixture(scope="session", params=["motor", "rate"])
-def flown(request, tmp_path_factory):
-    """The folders of a motor-level and a rate-level policy; for slow tests."""
-    return export_of(tmp_path_factory.mktemp(request.param), request.param)
+@pytest.fixture(scope="session")
+def flown(tmp_path_factory):
+    """The folder of a motor-level policy with the rows of its flights; for slow tests."""
+    return export_of(tmp_path_factory.mktemp("flown"))
 
 
 @pytest.fixture

@@ -32,6 +32,7 @@ from quadjax.race.observations import HIGHEST_RPM, fields_of
 from quadjax.training.build import make_networks, policy_of
 from quadjax.vehicle import motor
 from quadjax.vehicle.residual import Residual, write_residual
+from tests.frozen.c_code import LAYOUTS
 
 DISTURBANCE = {"moment_x": 0.03, "moment_y": 0.03, "moment_z": 0.01, "force_z": 0.5}
 WIDE = {"position": 32.0, "velocity": 64.0, "rates": 1024.0, "next_position": 8.0}
@@ -118,26 +119,17 @@ def tree_of(config):
     return config.model_dump(mode="json", by_alias=True)
 
 
-def export_of(folder: Path, vehicle: str) -> Path:
+def export_of(folder: Path) -> Path:
     """A made-up policy exported; it does not finish its race, and its ranges are wide.
 
-    The motor-level one was trained in another race than the one of the export, which has a
-    residual, a track of its own, the authors' gate test and a vehicle without some effects. It
-    observes the highest propeller speed of a battery.
+    It was trained in another race than the one of the export, which has a residual, a track of its
+    own, the authors' gate test and a vehicle without some effects. It observes the highest
+    propeller speed of a battery.
     """
     policy, out = folder / "policy.npz", folder / "c"
-    preset, battery = (
-        ("e2e +residual", ["battery.charge=[0.1, 1]"])
-        if vehicle == "motor"
-        else ("indi +fastest", [])
-    )
-    own = made_policy(24, vehicle, gain=0.5)
-    own = with_highest_rpm(own) if vehicle == "motor" else own
-    dataclasses.replace(own, config=tree_of(load_config(preset, battery))).save(policy)
-    if vehicle == "rate":
-        ranges = WIDE | {"rates": 8.0, "velocity": 32.0}
-        export_c(policy, out, ranges=ranges, name="made", allow_unfinished=True)
-        return out
+    trained = load_config("e2e +residual", ["battery.charge=[0.1, 1]"])
+    own = with_highest_rpm(made_policy(24, gain=0.5))
+    dataclasses.replace(own, config=tree_of(trained)).save(policy)
     write_residual(folder / "made_up.npz", made_residual(np.random.default_rng(0), 0.1), {})
     config, track = folder / "config.yaml", folder / "triangle.yaml"
     track.write_text(TRACK)
@@ -261,34 +253,27 @@ def named_network(name: str) -> tuple[Policy, FixedNetwork]:
     return policy, convert(policy)
 
 
-MORE = ("observation.gates_ahead=2", "observation.last_action=true")
-AXES = "observation.attitude=rotation"
-FIVE_INCH = ("vehicle=5inch", "observation.actuator_range=[0, 3000]")
-HISTORY = (
-    "observation.history={fields: [position, %s, rates, %s, last_action], steps: 2, every: %d}"
-)
-RACES = {  # preset, overrides, size of the observation
-    "e2e with a history": ("e2e +disturbance", (HISTORY % ("velocity, attitude", "rpm", 9),), 64),
-    "racing, axes and more": ("e2e", (*FIVE_INCH, AXES, *MORE), 31),
-    "e2e, axes and more": ("e2e +disturbance", (AXES, *MORE, "battery.charge=[0.1, 1.0]"), 36),
-    "e2e with quaternions": ("e2e +disturbance", ("vehicle.quaternion=true",), 24),
-    "indi and more": ("indi", ("observation.gates_ahead=3", MORE[1]), 29),
-    "racing with a history": (
-        "e2e",
-        (*FIVE_INCH, AXES, MORE[1], HISTORY % ("rotation", "rotor_speed", 2)),
-        27 + 40,
-    ),
-    "published racing": ("e2e", FIVE_INCH, 20),
+SIZES = {  # of the observation
+    "e2e with a history": 64,
+    "racing, axes and more": 31,
+    "e2e, axes and more": 36,
+    "e2e with quaternions": 24,
+    "indi and more": 29,
+    "racing with a history": 67,
+    "published racing": 20,
+    "without rotors": 20,
 }
+WITHOUT = ("vehicle=5inch", "observation.actuators=false", "observation.last_action=true")
+RACES = LAYOUTS | {"without rotors": ("e2e", WITHOUT)}  # preset, overrides
 
 
 @functools.cache
 def made(name):
     """An untrained policy of a race, and the race."""
-    preset, overrides, size = RACES[name]
+    preset, overrides = RACES[name]
     config = load_config(preset, [*overrides, "network.hidden=[8]", "track.generate.seed=1"])
     policy = untrained(config)
-    assert policy.layout.size == size
+    assert policy.layout.size == SIZES[name]
     layers = [(np.asarray(k) * 0.3, np.asarray(b) + 0.01) for k, b in policy.layers]
     return dataclasses.replace(policy, layers=tuple(layers)), race_source.own_race(
         config, policy, "test"
@@ -310,16 +295,6 @@ def converted_in(folder, policy, own, target, rate=500.0, **more):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(data)
     return converted
-
-
-def without_rotors():
-    """An untrained policy that observes its last action in place of rotor speeds."""
-    overrides = ["vehicle=5inch", "observation.actuators=false", "observation.last_action=true"]
-    config = load_config("e2e", [*overrides, "network.hidden=[8]", "track.generate.seed=1"])
-    policy = untrained(config)
-    layers = tuple((np.asarray(k) * 0.3, np.asarray(b) + 0.01) for k, b in policy.layers)
-    policy = dataclasses.replace(policy, layers=layers)
-    return policy, race_source.own_race(config, policy, "test")
 
 
 @functools.cache

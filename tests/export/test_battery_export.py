@@ -14,7 +14,6 @@ from quadjax.core.errors import InputError
 from quadjax.export import emulator
 from quadjax.export.battery import FINE_BITS, make_battery
 from quadjax.export.estimator_emulator import FINE, Battery, estimate_highest
-from quadjax.export.flights import Rollouts
 from quadjax.export.integers import quantize
 from quadjax.export.network import convert
 from quadjax.export.race_source import check_race, own_race
@@ -28,7 +27,6 @@ from tests.export.support import converted_in, fixed_policy, library, untrained
 from tests.sil.test_exported import command_of, loaded, sources_of
 
 BATTERY, UNDISTURBED = "battery.charge=[0.1, 1.0]", "observation.disturbance=none"
-NOTHING = Rollouts(*(np.zeros((0, 1)),) * 3)
 
 
 @functools.cache

@@ -13,14 +13,11 @@ from quadjax.export.emulator import forward_traced
 from quadjax.export.integers import quantize
 from quadjax.export.noise import advanced, make_noise, noise, sample
 from quadjax.export.read import read_qjp, unpack
-from quadjax.export.targets import RUNTIME
 from quadjax.export.verify import run
-from quadjax.export.verify.build import load_library
 from quadjax.export.verify.result import PASSED
-from quadjax.export.verify.toolchain import host
 from quadjax.export.words import SAMPLED_VERSION, STRUCTS, VERSION, pack
 from tests.export.support import fixed_policy, library, made_policy, observations, own_race
-from tests.export.test_runtime import FILES, edited, load
+from tests.export.test_runtime import edited, load, runtime_of
 
 UNIT = 2**16
 STD = np.array([0.3, 0.5, 0.05, 1.0])
@@ -112,27 +109,17 @@ def test_the_c_has_the_bits_of_numpy(case, tmp_path):
     np.testing.assert_array_equal(sample(network, silent, q, 5), mean)
 
 
-def runtime_of(folder, change=None, *options):
-    """The runtime as a library, its network perhaps changed."""
-    folder.mkdir()
-    files = []
-    for path in FILES:
-        text = path.read_text()
-        if change and path.name == "qj_network.c":
-            assert change[0] in text
-            text = text.replace(*change)
-        files.append(folder / path.name)
-        files[-1].write_text(text)
-    return load_library(host(), files, folder / "c.so", [f"-I{RUNTIME}", *options])
-
-
 CHANGES = {
-    "another step": ("0x9E3779B9", "0x9E3779BB"),
-    "another factor": ("0x846CA68B", "0x846CA68D"),
-    "another shift": ("x >> 15", "x >> 14"),
-    "a half less": ("i < 6U; ++i", "i < 5U; ++i"),
-    "no rounding": ("qj_round_shift((int64_t)sum * factor, 16)", "((int64_t)sum * factor >> 16)"),
-    "one factor": ("QJ_NOISE_FACTOR + i % QJ_COMMANDS", "QJ_NOISE_FACTOR"),
+    "another step": ("qj_network.c", "0x9E3779B9", "0x9E3779BB"),
+    "another factor": ("qj_network.c", "0x846CA68B", "0x846CA68D"),
+    "another shift": ("qj_network.c", "x >> 15", "x >> 14"),
+    "a half less": ("qj_network.c", "i < 6U; ++i", "i < 5U; ++i"),
+    "no rounding": (
+        "qj_network.c",
+        "qj_round_shift((int64_t)sum * factor, 16)",
+        "((int64_t)sum * factor >> 16)",
+    ),
+    "one factor": ("qj_network.c", "QJ_NOISE_FACTOR + i % QJ_COMMANDS", "QJ_NOISE_FACTOR"),
 }
 
 

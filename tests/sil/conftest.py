@@ -1,0 +1,3 @@
+from tests.c_cache import compiled_once
+
+fixtures = (compiled_once,)
