@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from benchmarks import speed
-from benchmarks.against_sb3 import Clock
 from benchmarks.drones import draw_drones, reachable
 from benchmarks.probe import quantities, r_squared
 from benchmarks.tracks import read_best, words_of
@@ -59,15 +58,6 @@ def test_a_track_and_a_drone_are_overrides_and_best_laps_a_file(tmp_path):
     file.write_text(f"laps: [{lap}, {lap}]\n")
     with pytest.raises(InputError, match="two laps of a with b, allowed: one"):
         read_best(file)
-
-
-def test_the_speed_of_a_side_is_without_its_compilation(monkeypatch):
-    now = iter([20.0, 30.0, 35.0])
-    monkeypatch.setattr("benchmarks.against_sb3.time.monotonic", lambda: next(now))
-    clock = Clock(started=0.0, seconds=25.0)
-    assert not clock.over(1000) and clock.speed() == 50.0
-    assert clock.over(3000) and clock.speed() == 200.0
-    assert clock.over(4000) and clock.speed() == 200.0
 
 
 @pytest.mark.slow

@@ -10,8 +10,10 @@ from quadjax.core.errors import InputError
 from quadjax.core.plotting import save_figure
 from quadjax.evaluation import animation
 from quadjax.evaluation.figures import signals_figure, space_figure, trajectory_figure
-from quadjax.flights.flight import Flight, Signal, motion_signals
+from quadjax.flights.flight import Flight, vehicle_signals
 from quadjax.race.track import GateSection
+from quadjax.vehicle.registry import MODELS
+from tests.view import scenes
 
 GATES = [
     GateSection(position=(2.0, 0.0, -1.5), yaw_deg=90.0),
@@ -19,21 +21,12 @@ GATES = [
 ]
 
 
-def circle(motors: int = 4, seconds: float = 1.0, crash: str | None = None) -> Flight:
-    time = np.arange(0.0, seconds + 1e-9, 0.01)
-    turn = 2.0 * np.pi * time / seconds
-    zero = np.zeros_like(time)
-    motion = {
-        "position": np.stack([2 * np.cos(turn), 2 * np.sin(turn), zero - 1.5], axis=1),
-        "velocity": np.stack([-np.sin(turn), np.cos(turn), zero], axis=1)
-        * (3 + np.sin(turn))[:, None],
-        "attitude": np.stack([zero + 0.5, zero - 0.3, turn], axis=1),
-        "rates": np.stack([zero, zero + 1, turn], axis=1),
-    }
-    speeds = {"actuators": Signal(np.full((len(time), motors), 9000.0))}
-    speeds["command"] = Signal(np.full((len(time), 4), 9000.0))
-    signals = motion_signals(motion) | speeds
-    return Flight("one", time, signals, lap_ends=np.array([seconds]), crash=crash)
+def circle(model: str = "motor", seconds: float = 1.0, crash: str | None = None) -> Flight:
+    """One lap of the scenes' circle by a vehicle."""
+    flight, kind = scenes.circle("one", lap=seconds, laps=1, crash=crash), MODELS[model]
+    sizes = (kind.action_size, kind.actuators.size)
+    own = vehicle_signals(kind, *(np.full((len(flight.time), size), 9000.0) for size in sizes))
+    return flight.replace(signals=flight.signals | own)
 
 
 def pixels(figure) -> np.ndarray:
@@ -46,9 +39,8 @@ def colors(image: np.ndarray) -> int:
     return len(np.unique(image.reshape(-1, 3), axis=0))
 
 
-@pytest.mark.parametrize("crash", [None, "hit a gate"])
-def test_the_trajectory_is_drawn_to_scale(crash):
-    figure = trajectory_figure([circle(crash=crash)], GATES, "title")
+def test_the_trajectory_is_drawn_to_scale():
+    figure = trajectory_figure([circle(crash="hit a gate")], GATES, "title")
     axes = figure.axes[0]
     assert axes.get_aspect() == 1.0
     assert axes.get_ylim()[0] > axes.get_ylim()[1]  # east is down, or the track were mirrored
@@ -59,17 +51,6 @@ def test_the_trajectory_is_drawn_to_scale(crash):
     widths = [np.ptp(line.get_xdata()) for line in axes.lines if len(line.get_xdata()) == 2]
     assert max(widths) == pytest.approx(2.0) and 1.0 in np.round(widths, 6)
     assert colors(pixels(figure)) > 100
-
-
-def test_gates_have_numbers_and_heights_where_they_differ():
-    """Gates at one place share a label; on a level track there are no heights."""
-    lower = GateSection(position=(2.0, 0.0, -3.25), yaw_deg=270.0)
-    figure = trajectory_figure([circle()], [*GATES, lower])
-    above = [text.get_text() for text in figure.axes[0].texts]
-    assert above.count("1, 3") == above.count("1.5, 3.2 m") == above.count("1.5 m") == 1
-    assert {"1", "2", "3"} <= {text.get_text() for text in figure.axes[1].texts}
-    level = [text.get_text() for text in trajectory_figure([circle()], GATES).axes[0].texts]
-    assert {"1", "2"} <= set(level) and not any("m" in text for text in level)
 
 
 def test_tilted_and_round_gates_have_their_outline_from_both_sides():
@@ -84,29 +65,18 @@ def test_tilted_and_round_gates_have_their_outline_from_both_sides():
     assert np.ptp(edge, axis=0) == pytest.approx([2.0, 0.0], abs=1e-6)
 
 
-def test_a_legend_is_above_the_axes_and_a_still_flight_can_be_drawn():
-    figure = trajectory_figure([circle()], GATES, "title")
-    figure.canvas.draw()
-    legend = figure.axes[0].get_legend().get_window_extent()
-    top = figure.axes[0].get_window_extent().y1
-    assert top - 5 <= legend.y0 < legend.y1 < figure.bbox.y1
-    flight = circle(seconds=0.02)
-    still = flight.with_signals(velocity=0 * flight["velocity"])
-    assert colors(pixels(trajectory_figure([still], GATES))) > 10
-
-
-@pytest.mark.parametrize("motors", [4, 1])
-def test_signals_are_drawn_upwards_in_degrees_and_with_the_commanded_thrust(motors):
-    flight = circle(motors)
+@pytest.mark.parametrize("model", ["motor", "rate"])
+def test_signals_are_drawn_upwards_in_degrees_and_with_the_commanded_thrust(model):
+    flight = circle(model)
     height, speed, attitude, rates, actuators = signals_figure(flight).axes
     np.testing.assert_allclose(height.lines[0].get_ydata(), -flight["position"][:, 2])
     np.testing.assert_allclose(speed.lines[0].get_ydata(), flight.speed)
     for line, angle in zip(attitude.lines, flight["attitude"].T, strict=False):
         np.testing.assert_allclose(np.radians(line.get_ydata()), np.unwrap(angle), atol=1e-9)
     np.testing.assert_array_equal(rates.lines[1].get_ydata(), flight["rates"][:, 1])
-    assert len(actuators.lines) == (5 if motors == 4 else 3)  # with the end of the lap
+    assert len(actuators.lines) == (5 if model == "motor" else 3)  # with the end of the lap
     commanded = [line for line in actuators.lines if line.get_label() == "commanded"]
-    assert len(commanded) == (motors == 1)
+    assert len(commanded) == (model == "rate")
 
 
 def test_figures_are_written_whole(tmp_path):
@@ -124,16 +94,16 @@ def test_figures_are_written_whole(tmp_path):
 @pytest.mark.slow
 def test_an_animation_is_a_gif_in_real_time(tmp_path):
     path, calls = tmp_path / "flight.gif", []
-    flights = [circle(seconds=0.5), circle(seconds=0.4, crash="hit a gate")]
+    flights = [circle(seconds=0.2), circle(seconds=0.15, crash="hit a gate")]
     animation.write_animation(flights, GATES, path, lambda: calls.append(1), names=["E2E", "INDI"])
     with Image.open(path) as film:
         assert film.format == "GIF" and film.size[0] > 500
-        assert film.n_frames >= 11
+        assert film.n_frames >= 5
         assert film.info["duration"] == 50
         first = np.asarray(film.convert("RGB"))
-        film.seek(5)
+        film.seek(3)
         later = np.asarray(film.convert("RGB"))
-    assert len(calls) >= 11 and colors(first) > 20 and np.any(first != later)
+    assert len(calls) >= 5 and colors(first) > 20 and np.any(first != later)
     with pytest.raises(InputError, match="gif"):
         animation.write_animation(flights, GATES, tmp_path / "flight.mp4")
     with pytest.raises(InputError, match="1 name for 2 flights"):

@@ -144,23 +144,6 @@ def test_constants_of_a_group_of_ones_own_are_drawn_as_all():
     assert Randomization(constants={"lift": 0.1}).by_constant(Model())["lift"] == 0.1
 
 
-def test_own_objects_are_named_in_the_config():
-    own = "tests.race.test_extensions"
-    choices, params = make_race(
-        f"reward.terms={{{own}:speed: 0.5}}",
-        f"rules.extra=[{own}:ceiling]",
-        f"observation.extra=[{own}:HEIGHT]",
-    )
-    assert (choices.user_terms, choices.user_rules, choices.layout.fields[-1]) == (
-        ((f"{own}:speed", speed),),
-        ((f"{own}:ceiling", ceiling),),
-        HEIGHT,
-    )
-    assert {name: float(x) for name, x in params.reward.terms.items()} == {f"{own}:speed": 0.5}
-    with pytest.raises(InputError, match=r"rules.extra: .*:HEIGHT is .*expected a function"):
-        make_race(f"rules.extra=[{own}:HEIGHT]")
-
-
 def test_an_entry_of_a_table_is_enough(monkeypatch):
     """A field is observed. A reward term without a weight, a field of the section, is an error."""
     monkeypatch.setattr(observations, "OBSERVATIONS", (*observations.OBSERVATIONS, HEIGHT))

@@ -1,7 +1,6 @@
 """Flights of every kind of source."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -92,29 +91,6 @@ def test_bad_files_are_one_line(tmp_path, capsys):
     assert "expected the folder of a training run" in capsys.readouterr().err
 
 
-def test_code_that_a_policy_file_names_is_not_imported(tmp_path, capsys):
-    with np.load(PRETRAINED / "e2e_adaptive.npz") as file:
-        arrays = {key: file[key] for key in file.files if key != "meta"}
-        meta = json.loads(str(file["meta"]))
-    for section, key, value in (
-        ("rules", "extra", ["antigravity:RULE"]),
-        ("reward", "terms", {"antigravity:TERM": 1.0}),
-        ("vehicle", "model", "antigravity:MODEL"),
-    ):
-        config = {**meta["config"], section: {**meta["config"][section], key: value}}
-        path = tmp_path / f"{section}.npz"
-        write_npz(path, arrays, {**meta, "config": config})
-        for command in (
-            ("view", path, "--output", tmp_path / "out.html"),
-            ("export", path, "--output", tmp_path / "out"),
-            ("evaluate", "--policy", path),
-            ("replay", tmp_path / "log.csv", "--policy", path),
-        ):
-            assert run(*command) == 2
-            assert "code that this file names is not imported" in capsys.readouterr().err
-    assert "antigravity" not in sys.modules
-
-
 def test_states_of_earlier_versions_have_the_gates_of_the_race(tmp_path):
     flight, race = circle("old"), load_config("e2e")
     names = {"position": "position", "velocity": "velocity", "euler": "attitude", "rates": "rates"}
@@ -149,6 +125,3 @@ def test_policies_and_their_states_show_the_same_flight(tmp_path):
     one, two = load(page)
     assert one.lap_ends == pytest.approx(two.lap_ends, abs=1e-9)
     np.testing.assert_allclose(one.passages, two.passages, atol=1e-9)
-    assert run("view", "e2e_adaptive", *common, "--output", page) == 0  # the race of its file
-    (flight,) = load(page)
-    assert len(flight.lap_ends) == 1
