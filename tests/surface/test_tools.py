@@ -23,7 +23,7 @@ overrides:
 space:
   learner.learning_rate: {{log: [1.0e-4, 1.0e-2]}}
 search: {{method: random}}
-objective: {{seeds: 1, runs: 1}}
+objective: {{seeds: 1, runs: 2}}
 budget: {{trials: 3}}
 executor: {{workers: 1}}
 """

@@ -98,6 +98,8 @@ def test_the_command_refuses_in_one_line_without_a_password_and_leaves_nothing(t
         printed = capfd.readouterr()
         assert len(printed.err.splitlines()) == 1 and "storage" in printed.err
         assert not printed.out.count("s3cret") and "s3cret" not in printed.err
+    assert run("sweep", path, "executor=postgresql://bob:s3cret@h/db", "--output", runs) == 2
+    assert "://bob:***@h/db" in capfd.readouterr().err  # of another key
     assert run("sweep", sweep_file(tmp_path), "--report", "--output", runs) == 2
     assert "no trials of the sweep small; run it first" in capfd.readouterr().err
     assert run("sweep", sweep_file(tmp_path), "--check", "--output", runs) == 0
@@ -261,25 +263,6 @@ def test_a_lap_that_is_not_completed_counts_its_share_of_the_time_limit():
         assert Laps(np.array(times), ("",), np.zeros(1), limit).penalized == value
 
 
-@pytest.mark.slow
-def test_a_whole_sweep_by_its_command(tmp_path, capfd):
-    path = sweep_file(tmp_path, budget={"trials": 2}, search={"method": "tpe"})
-    arguments = ["sweep", path, "--workers", 1, "--output", tmp_path / "runs"]
-    assert run(*arguments) == 0
-    printed = capfd.readouterr()
-    assert "2/2 trials, no flight finished yet" in printed.err
-    assert "No policy finished a flight" in printed.out and "best" not in printed.out
-    folder = tmp_path / "runs" / "small"
-    trained = load_config(folder / "trials/0001/seed0/config.yaml")
-    assert trained.run.devices == 1 and trained.learner.num_envs == 16
-    assert "No policy" in (folder / "report.md").read_text()
-    assert not (folder / "best.yaml").exists()
-    (folder / "notes.txt").write_text("mine")
-    assert run(*arguments, "--report") == 0
-    assert run(*arguments[:2], "--overwrite", "--report", *arguments[4:]) == 0
-    assert (folder / "notes.txt").exists()
-
-
 def test_the_report_has_a_table_figures_and_the_best_config(tmp_path):
     """Of thirty trials; one failed, one is without a finished flight."""
     hidden = {HIDDEN: {"choices": [[8], [16, 16]]}}
@@ -309,6 +292,17 @@ def test_the_report_has_a_table_figures_and_the_best_config(tmp_path):
     for name in ("parallel.png", "slices.png", "importances.png"):
         with Image.open(directory / name) as image:
             assert image.size[0] > 600 and len(set(image.convert("L").tobytes())) > 20
+
+
+def test_a_report_without_a_finished_flight_has_no_best_config(tmp_path):
+    sweep, directory, study = open_small(tmp_path)
+    trial = study.ask()
+    sweep.suggest(trial)
+    for name, item in {"finished": 0.0, "seconds": 1.5, "host": "here", "values": [8.0]}.items():
+        trial.set_user_attr(name, item)
+    study.tell(trial, 8.0)
+    text = write_report(study, sweep, directory)
+    assert "No policy finished a flight" in text and not (directory / "best.yaml").exists()
 
 
 @pytest.mark.parametrize("method", ["tpe", "random", "grid"])
