@@ -36,10 +36,12 @@ test: $(VENV)/.test ## lint and run the tests that take seconds
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest -m 'not slow' -n $(WORKERS) --dist worksteal
 
-test-all: $(VENV)/.test-all test ## all tests, the type checker, and the documentation
+test-all: $(VENV)/.test-all ## lint, all tests, the type checker, and the documentation
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 	$(BIN)/python -m mypy
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
-	$(BIN)/python -m pytest -m slow -n $(WORKERS) --dist worksteal
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 docs: $(VENV)/.docs ## build the documentation into build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
