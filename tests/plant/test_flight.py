@@ -7,15 +7,11 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS, PRETRAINED
-from quadjax.evaluation.plants import write_logs
-from quadjax.fitting.config import LogsConfig
-from quadjax.fitting.flight_log import read_logs
 from quadjax.plant import flight as onboard_flight
 from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.plant.flights import (
     fly_plan,
     log_quantities,
-    plan_logs,
     plan_race,
     race_config,
     recorded_flights,
@@ -71,21 +67,6 @@ def test_a_policy_flies_a_lap_by_its_estimates(name, request):
     log = log_quantities(flights, 0, centers)
     np.testing.assert_array_equal(log["position"], estimated)
     np.testing.assert_allclose(log["target_gate"][0], centers[0])
-
-
-@pytest.mark.slow
-def test_logs_are_written_by_policy_and_the_fit_reads_them(indi, tmp_path):
-    race, _ = indi
-    plans = plan_logs(race, EXACT, [PRETRAINED / "indi_shac.npz"], flights=2, laps=1)
-    written = write_logs(plans, tmp_path, seed=3)
-    assert [log.path.name for log in written] == ["indi_shac_0.csv", "indi_shac_1.csv"]
-    for log in written:
-        assert len(log.path.read_text().splitlines()) == log.rows + 1
-        assert log.crash == "" and log.rows > 500 * 2.0
-    config = LogsConfig(files=["*.csv"], format="paparazzi", min_seconds=1.0)
-    log = read_logs(config, tmp_path)[0]
-    assert log.sample_rate == pytest.approx(500.0, rel=1e-3) and log.flying.all()
-    assert np.abs(log["specific_force"][:, 2].mean()) > 5.0
 
 
 def test_the_race_is_the_policys_own():

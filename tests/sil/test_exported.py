@@ -29,7 +29,7 @@ from quadjax.sil import run as sil
 from quadjax.sil.fly import set_floats
 from quadjax.sil.message import DTYPES, HEADER, RPM_PER_RAD_S, Kind, new
 from quadjax.sil.run import Setting, fly_all, make_world
-from quadjax.sil.source import at_rate, build, label_of
+from quadjax.sil.source import at_rate, build
 from tests.commands import run
 from tests.export.support import converted_in, made
 from tests.sil.support import Counting
@@ -143,28 +143,6 @@ def test_the_glue_is_called_at_its_own_rate_while_states_are_lost(tmp_path):
     library.sil_begin()
     command_of(library, 0.2, numbers)  # the first states of a race are lost
     assert sent[6] == 40 // 5 + 2
-
-
-def flown_alone(folder, target, policy, own, rate=None, count=20):
-    """Commands (count, 4) of a target's C in random states, and its sources."""
-    rate = rate or 1.0 / own.time_step
-    library, sources = loaded(folder, converted_in(folder, policy, own, target), rate)
-    numbers = np.random.default_rng(3).uniform(-1, 1, (count, 40))
-    commands = [command_of(library, n / rate, row[:SIZE]) for n, row in enumerate(numbers)]
-    return np.array(commands), sources
-
-
-@pytest.mark.slow
-def test_a_policy_of_earlier_steps_keeps_its_steps_at_another_rate(tmp_path):
-    policy, own = made("indi and more")
-    found, sources = flown_alone(tmp_path, "cortex-m7", policy, own, rate=500.0, count=40)
-    assert sources.startswith("made.qjp, c/{qj_check.c") and "glue" not in sources
-    np.testing.assert_array_equal(found, np.repeat(found[::5], 5, axis=0))
-    assert len(np.unique(found, axis=0)) == 8
-    converted = converted_in(tmp_path / "odd", policy, own, "cortex-m7")
-    program, _ = build(converted, sources_of(converted, tmp_path / "odd"), 130.0)
-    with pytest.raises(InputError, match="no whole number of calls is a step of it, within 3%"):
-        label_of(program, converted)
 
 
 BAD = {
