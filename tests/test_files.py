@@ -181,21 +181,15 @@ READERS = pytest.mark.parametrize("read", [Policy.load, read_residual])
 
 
 @READERS
-def test_what_is_no_such_file(tmp_path, read):
-    assert "no such file" in refusal(read, tmp_path / "none.npz")
-    assert "is a directory" in refusal(read, tmp_path)
+def test_archives_that_are_none(tmp_path, read):
     path = tmp_path / "f.npz"
-    for data in (b"", b"PK\x03\x04 not a zip at all", b"hello\nworld\n"):
-        path.write_bytes(data)
-        refusal(read, path)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("meta.npy", b"\x93NUMPY garbage")
+    path.write_bytes(b"")
     refusal(read, path)
     header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (" + b"9" * 5000 + b",)}\n"
-    with zipfile.ZipFile(path, "w") as archive:
-        data = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
-        archive.writestr("kernel_0.npy", data)
-    assert len(refusal(read, path)) < 400 + len(str(path))
+    for data in (b"garbage", b"\x01\x00" + len(header).to_bytes(2, "little") + header):
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("kernel_0.npy", b"\x93NUMPY" + data)
+        assert len(refusal(read, path)) < 400 + len(str(path))
     with open(path, "wb") as stream:
         np.save(stream, np.zeros(3))
     refusal(read, path)

@@ -102,13 +102,14 @@ TRACKS = {  # of a wandering path: the config, and the first of two gates
     "rate": ("indi", ""),
     "world box": ("e2e_paper +authors_code", ""),
     "tilted": (None, "pitch_deg: -35, roll_deg: 20"),
-    "round": (None, "shape: circle"),
     "tilted and round": (None, "pitch_deg: -35, shape: circle"),
 }
-SLOW = [pytest.param(k, marks=pytest.mark.slow) for k in ("tilted", "round")]
 
 
-@pytest.mark.parametrize("kind", ["rate", "world box", "tilted and round", *SLOW])
+@pytest.mark.parametrize(
+    "kind",
+    ["rate", "world box", "tilted and round", pytest.param("tilted", marks=pytest.mark.slow)],
+)
 def test_gates_along_a_wandering_path_are_the_simulators(kind, tmp_path):
     config, first = TRACKS[kind]
     vehicle, track = "rate" if kind == "rate" else "motor", None

@@ -1,25 +1,16 @@
 """Flight logs: a known model is fitted, faulty columns are rejected."""
 
 import csv
-import itertools
 import json
 import math
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
 
 from tests.commands import run
 
 TRUTH = Path(__file__).resolve().parents[2] / "configs/vehicles/bebop1.yaml"
-VECTORS = {
-    "position": ("pos_x", "pos_y", "pos_z"),
-    "velocity": ("vel_x", "vel_y", "vel_z"),
-    "attitude": ("att_phi", "att_theta", "att_psi"),
-    "rates": ("rate_p", "rate_q", "rate_r"),
-    "motors": ("rpm_obs_1", "rpm_obs_2", "rpm_obs_3", "rpm_obs_4"),
-}
 
 
 @pytest.fixture(scope="module")
@@ -66,49 +57,30 @@ def write(path: Path, columns: dict[str, list[str]]) -> None:
         writer.writerows(zip(*columns.values(), strict=True))
 
 
-def scaled(values: list[str], factor: float) -> list[str]:
-    """A column times a factor."""
-    return [repr(factor * float(value)) for value in values]
+def faults(columns: dict[str, list[str]]) -> dict[str, dict[str, list[str]]]:
+    """Changed columns for each kind of fault, all of which are in tests/fitting."""
 
+    def changed(name: str, factor: float) -> list[str]:
+        return [repr(factor * float(value)) for value in columns[name]]
 
-def late(values: list[str], count: int) -> list[str]:
-    """A column that lags by a number of rows."""
-    return values[:1] * count + values[:-count]
-
-
-def faults(columns: dict[str, list[str]], sample_rate: float) -> dict[str, dict[str, list[str]]]:
-    """Changed columns by the name of the fault."""
-    table = {}
-    for group, names in VECTORS.items():
-        for name in names:
-            table[f"-{name}"] = {name: scaled(columns[name], -1.0)}
-            table[f"{name} constant"] = {name: columns[name][:1] * len(columns[name])}
-        for a, b in itertools.combinations(names, 2):
-            table[f"{a} and {b} swapped"] = {a: columns[b], b: columns[a]}
-        for seconds in (0.1, 0.3):
-            count = round(seconds * sample_rate)
-            table[f"{group} {seconds} s late"] = {n: late(columns[n], count) for n in names}
-    for group in ("position", "velocity", "rates"):
-        for factor in (0.5, 1.5):
-            names = VECTORS[group]
-            table[f"{group} x {factor}"] = {n: scaled(columns[n], factor) for n in names}
-    for order in ((1, 0, 3, 2), (1, 2, 3, 0)):
-        names = VECTORS["motors"]
-        table[f"motors {order}"] = {
-            names[i]: columns[names[source]] for i, source in enumerate(order)
-        }
-    return table
+    rates = [f"rate_{axis}" for axis in "pqr"]
+    motors = [f"rpm_obs_{i}" for i in range(1, 5)]
+    return {
+        "negated": {"att_theta": changed("att_theta", -1.0)},
+        "constant": {"rate_p": columns["rate_p"][:1] * len(columns["rate_p"])},
+        "swapped": {"vel_x": columns["vel_y"], "vel_y": columns["vel_x"]},
+        "late": {name: columns[name][:1] * 150 + columns[name][:-150] for name in rates},
+        "scaled": {f"vel_{x}": changed(f"vel_{x}", 1.5) for x in "xyz"},
+        "turned": {motors[i]: columns[motors[(i + 1) % 4]] for i in range(4)},
+    }
 
 
 @pytest.mark.slow
-def test_every_fault_of_the_columns_is_refused(logs, tmp_path, monkeypatch, capfd):
+def test_a_fault_of_the_columns_is_refused(logs, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     columns = read(sorted(logs.glob("*.csv"))[0])
-    time = np.array(columns["time"], float)
-    table = faults(columns, 1.0 / float(np.median(np.diff(time))))
-    assert len(table) > 50
     accepted = []
-    for name, changed in table.items():
+    for name, changed in faults(columns).items():
         write(tmp_path / "faulty.csv", columns | changed)
         status = run("fit", "paparazzi", "logs.files=[faulty.csv]", "residual.fit=false")
         message = capfd.readouterr().err.strip().splitlines()[-1]
