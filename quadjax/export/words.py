@@ -1,8 +1,28 @@
 """The words of a policy: what the C runtime runs, and the bytes of a ``.qjp`` file.
 
 ``STRUCTS`` names every word: ``pack`` and ``read.unpack`` go by it, and ``runtime/qj_words.h`` is
-made from it. The words are little-endian and follow each other: header, sizes of the layers, state,
-observation, track, weights, estimators, self-tests, and a CRC-32 of all of it.
+made from it. The words have 32 bits, little-endian, and follow each other:
+
+- ``header``: counts, kind of commands, limits, hash of the policy, names;
+- ``layer`` of each: rows, columns;
+- the state: ``field`` of each, its code (``qj_field`` in ``qj.h``), first number and size; then
+  the exponent of the range 2^e of each number;
+- the observation: ``part`` of each field, its kind (1 position, 2 velocity, 3 attitude, 4 rotation,
+  5 copied, 6 scaled, 7 of the gate), first input, size, exponent, lag, name; then ``input`` of
+  each, its source, middle, factor, shift;
+- ``gate`` of each: position, axes, cosine, sine, size, round, yaw; and constants for each;
+- weights and biases of each layer, in blocks of four rows: the four weights of column 0, of column
+  1, and so on; columns, and rows of hidden layers, are padded with zeros to a multiple of 8;
+- ``estimator`` of disturbances and ``battery``, of the highest rpm, if the header says so;
+- ``noise``, in version 3 of policies that sample their actions;
+- self-tests: inputs and commands, states and inputs, samples of the estimators;
+- a CRC-32 of everything before it.
+
+Names are ASCII with a zero at the end. Numbers of 64 bits are two words, the low one first. The
+loader accepts words only if the checksum matches, every count and number is allowed, no sum reaches
+2^63 - 2^30, no hidden output exceeds 2^30 - 1, padding is zero, and every self-test gives the
+stated integers; ``qj_load`` returns what is wrong as a number (``qj_error``). Python also reads
+version 1, which has a SHA-256, and neither a history nor estimators.
 """
 
 import dataclasses

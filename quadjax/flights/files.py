@@ -1,10 +1,28 @@
 """Files of flights, and of lap times: one format that is written, and readers of earlier ones.
 
-The written file (``.npz``, format ``quadjax-flights/2``) has, for f flights of at most n samples,
-``time`` (f, n), s, each signal (f, n, k) by its name, ``passages`` (f, m, 3) and ``lap_ends``
-(f, laps), s, with NaN where a flight has less; and ``meta``, JSON: ``gates`` of the track, and
-``flights``, of each flight its ``name``, ``crash``, ``source`` and ``signals``: unit and labels by
-name.
+World frame NED, body frame FRD. The written file (``.npz``, format ``quadjax-flights/2``) has, for
+f flights of at most n samples, with NaN where a flight has less:
+
+- ``time`` (f, n), s; ``position`` and ``velocity`` (f, n, 3), m and m/s, world;
+- ``attitude`` (f, n, 3), roll, pitch, yaw, rad; ``rates`` (f, n, 3), rad/s, body;
+- ``actuators`` and ``command`` (f, n, k), in the units of the vehicle model;
+- ``target`` (f, n, 1), the gate to pass next, from 0; other signals (f, n, k), as of a flight log;
+- ``passages`` (f, m, 3): time, s; gate; distance from the edge of its opening, m;
+- ``lap_ends`` (f, laps), s;
+- ``meta``, JSON: ``format``, ``gates`` of the track, and ``flights``, of each flight its ``name``,
+  ``crash`` (null where it did not end early), ``source`` and ``signals``: ``unit``, ``labels`` and
+  ``size`` by name; and the entries of the JSON of the command that wrote it.
+
+The file of ``quadjax limit`` has the nodes of the mesh, ``leg_times`` (legs,), s, and
+``flown_position`` (m + 1, 3) and ``flown_command`` (m, commands) of the flight that verifies it,
+each command held for 1 ms; or, if none does, only the nodes, and the reason as ``not_verified`` in
+``meta``.
+
+A ``.csv`` file has a line for each time of each flight. Its header has the units: ``run``,
+``time [s]``, ``position_x [m]``, .., ``command_front_left [rpm]``, .. Runs and gates are numbered
+from 0. Files of earlier versions are read: ``quadjax-states/1``, ``quadjax-limit/1`` and
+``quadjax-starts/1``. Where such a file has no ``target``, a gate counts as passed where the path
+goes through its opening.
 """
 
 import re

@@ -1,12 +1,22 @@
 """A trained policy, and the file that holds it: plain arrays that NumPy alone can read and write.
 
-Arrays: ``kernel_0..`` (in, out), ``bias_0..``, ``log_std`` (actions,) and optionally the critic,
-``value_kernel_0..`` and ``value_bias_0..``, which training from the file starts with. ``meta`` is a
-JSON string with ``format: "quadjax-policy/2"``, ``vehicle``, ``activation``, ``noise_on``,
-``command_low``, ``command_high``, ``layout`` (the fields of the observation, see
-``quadjax.race.layout``), ``source`` and ``config``, the full training config. The file also has
-the residual that the policy was trained with, as in ``quadjax.vehicle.residual``. Files of
-``quadjax-policy/1`` have ``observation`` instead of ``layout`` and no ``config``.
+Arrays, finite and at most 1e6 in magnitude: ``kernel_0..`` (inputs, outputs) and ``bias_0..`` of
+each layer, ``log_std`` (actions,), the logarithm of the standard deviation of the action noise, and
+optionally the critic, ``value_kernel_0..`` and ``value_bias_0..``, which training from the file
+starts with. ``meta`` is a JSON string with
+
+- ``format``: ``quadjax-policy/2``;
+- ``vehicle``: name of the vehicle model, ``motor``, ``rate`` or your own;
+- ``activation`` of the hidden layers: ``relu`` or ``tanh``;
+- ``noise_on``: what the noise is added to, ``mean`` or ``clipped_mean``;
+- ``command_low`` and ``command_high``: commands of the actions -1 and 1;
+- ``layout``: the fields of the observation, in order (see ``quadjax.race.layout``);
+- ``source``: where the policy comes from; ``config`` in it names the preset of its race;
+- ``config``: the full training config;
+- ``residual``: numbers of the residual of the training, whose arrays are in the file (optional).
+
+Files of ``quadjax-policy/1`` remain readable: they have ``observation`` instead of ``layout`` and
+no ``config``.
 """
 
 import dataclasses

@@ -1,6 +1,6 @@
 """Constants of the motor model from data that can be measured or looked up.
 
-A first vehicle file for a drone that has no flight logs. docs/guide/vehicle.md has the formulas.
+A first vehicle file for a drone that has no flight logs.
 """
 
 import math
@@ -15,7 +15,25 @@ RPM = 2.0 * math.pi / 60.0  # rad/s
 
 
 class Airframe(Section):
-    """Data of a quadcopter in X configuration; null: estimated from the other data."""
+    """Data of a quadcopter in X configuration; null: estimated from the other data.
+
+    With the thrust coefficient ``T = mass k_w``, N/rpm^2, and the hover speed
+    ``hover = sqrt(9.81 / (4 k_w))``, rpm, the constants of the motor model are
+
+    ```text
+    k_w          9.81 thrust_to_weight / (4 rpm_max^2)
+                 or thrust_coefficient 1.225 D^4 / (3600 mass)
+    k_p, k_q     T arm_y, T arm_x
+    i_xx, i_yy   0.45 mass arm_y^2, 0.45 mass arm_x^2
+    i_zz         0.45 mass (arm_x^2 + arm_y^2)
+    k_r1, k_r2   2 torque_ratio T hover, rotor_inertia 2 pi / 60
+    k_x, k_y     drag / (4 hover)
+    ```
+
+    ``k_z``, ``k_h``, ``k_pv``, ``k_qv`` and ``k_rr`` are zero: they need a fit. On the one drone
+    checked, the Bebop 1, these rules are within a factor of two. The file's ``width`` is
+    ``wheelbase / 1.41 + D``.
+    """
 
     mass: float = Field(gt=0, le=100, description="ready to fly, kg")
     wheelbase: float = Field(gt=0, le=10, description="distance of diagonally opposite motors, m")

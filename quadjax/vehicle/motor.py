@@ -95,7 +95,19 @@ def hover_rpm(c: MotorConstants) -> jax.Array:
 
 
 class Motor(VehicleModel):
-    """The model ``motor``."""
+    """The model ``motor``: four motor speeds, rpm, as commands.
+
+    With propeller speeds ``w``, rpm, and body velocity ``v``, the specific force, m/s^2, and the
+    moment, N m, are
+
+    ```text
+    Fx = -k_x vx sum(w)          Mx = k_p ( w1^2 - w2^2 - w3^2 + w4^2) + k_pv vy
+    Fy = -k_y vy sum(w)          My = k_q ( w1^2 + w2^2 - w3^2 - w4^2) + k_qv vx
+    Fz = -k_w sum(w^2)           Mz = k_r1 (-w1 + w2 - w3 + w4)
+         - k_z vz sum(w)              + k_r2 (-w1' + w2' - w3' + w4') - k_rr r
+         - k_h (vx^2 + vy^2)     w' = (command - w) / tau
+    ```
+    """
 
     name = "motor"
     constants = MotorConstants

@@ -192,7 +192,19 @@ def _scaled(
 
 
 class Racing(VehicleModel):
-    """The model ``racing``; its actuators are the rotor speeds, rad/s."""
+    """The model ``racing``: four motor commands ``u``, 0 to 1; the actuators are rotor speeds.
+
+    With rotor speeds ``w``, rad/s, and body velocity ``v``, specific force, m/s^2, and angular
+    acceleration, rad/s^2, are
+
+    ```text
+    F = (-k_x vx sum(w), -k_y vy sum(w), -k_w sum(w^2))
+    p' = k_p1 w1^2 - k_p2 w2^2 - k_p3 w3^2 + k_p4 w4^2
+    q' = k_q1 w1^2 + k_q2 w2^2 - k_q3 w3^2 - k_q4 w4^2
+    r' = sum(turning_i (k_r_i w_i + k_rd_i w_i'))
+    w' = (w_min + (w_max - w_min) sqrt(k u^2 + (1 - k) u) - w) / tau
+    ```
+    """
 
     name = "racing"
     constants = RacingConstants

@@ -14,6 +14,7 @@ GUIDE += sorted((ROOT / "docs" / "guide").glob("*.md"))
 
 _FENCE = re.compile(r"^( *)```(\w*)(.*)$")
 _TITLE = re.compile(r'title="([^"]+)"')
+_SNIPPET = re.compile(r'^--8<-- "([^"]+)"$', re.MULTILINE)
 _DIRECTIVE = re.compile(r"<!-- test: (\w+)(?:: (.*?))?\s*-->", re.DOTALL)
 
 
@@ -48,6 +49,7 @@ def name_of(page: Path) -> str:
 def blocks_of(page: Path) -> list[Block]:
     """The fenced blocks of a page, with what the comments before them say.
 
+    A line ``--8<-- "FILE"`` is replaced by that file of the repository, as MkDocs does.
     ``<!-- test: skip: REASON -->`` and ``<!-- test: setup: CODE -->`` apply to the next block.
     """
     lines = page.read_text(encoding="utf-8").splitlines()
@@ -62,6 +64,7 @@ def blocks_of(page: Path) -> list[Block]:
             continue
         indent = len(opened.group(1))
         code = "\n".join(text[indent:] for text in lines[start + 1 : number]) + "\n"
+        code = _SNIPPET.sub(lambda match: (ROOT / match[1]).read_text("utf-8").rstrip("\n"), code)
         said = dict(_DIRECTIVE.findall("\n".join(lines[since:start])))
         title = _TITLE.search(opened.group(3))
         blocks.append(

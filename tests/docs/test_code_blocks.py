@@ -1,8 +1,9 @@
 """Every Python and shell block of the README and of the user guide is run, with short trainings.
 
 The trainings of the quickstart run; those of the other pages are traced, leave the
-policy as it begins, and end without a lap table. The tables of ``compare``, which take a minute
-each, are those of ``tests/plant``. The blocks of a page run in order in one folder. Python blocks
+policy as it begins, and end without a lap table. ``compare``, ``improve`` and ``limit``, which take
+minutes, read their arguments and files only: ``tests/plant``, ``tests/improve`` and
+``tests/limits`` run them. The blocks of a page run in order in one folder. Python blocks
 share a namespace; a block with a title is written to a file of that name; shell blocks consist of
 ``quadjax`` commands.
 """
@@ -10,6 +11,7 @@ share a namespace; a block with a title is written to a file of that name; shell
 import shlex
 import sys
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +19,11 @@ import numpy as np
 import pytest
 import yaml
 
-from quadjax import compare
+from quadjax import compare, improve
+from quadjax.core import plotting
 from quadjax.evaluation import training
 from quadjax.learners import parallel
+from quadjax.limits import result as limit
 from quadjax.race.laps import Laps
 from quadjax.training import run as training_run
 from tests.commands import run
@@ -31,6 +35,12 @@ TRAINED = ("docs/getting_started/quickstart.md",)
 OPTIONS = {  # added to a command, unless it has them
     "seeds": ["--seeds", "0", "--runs", "2"],
     "evaluate": ["--runs", "2", "--laps", "1"],
+    "conditions": ["--runs", "2"],  # of evaluate, too, which have their own laps
+    "flights": [],
+    "improve": ["network.hidden=[8]"],
+    "logs": ["--flights", "1"],
+    "sil": ["--laps", "1"],
+    "view": ["--laps", "1"],
     "compare": ["--runs", "2", "--laps", "1", "--parts", "table"],
     "fit": ["residual.seeds=1", "residual.epochs=3"],
     "export": ["--allow-unfinished", *(f"--range={name}={size:g}" for name, size in WIDE.items())],
@@ -81,6 +91,9 @@ def traced_chunk(learner, mesh, updates, params, state):
 @pytest.mark.parametrize("page", GUIDE, ids=name_of)
 def test_blocks_run(page, folder, monkeypatch):
     monkeypatch.setattr(compare, "compare", lambda *_: "")
+    monkeypatch.setattr(improve, "improve", lambda *_: "")
+    monkeypatch.setattr(limit, "best_known", MagicMock())
+    monkeypatch.setattr(plotting, "save_figure", lambda *_: None)
     if name_of(page) not in TRAINED:
         monkeypatch.setattr(parallel, "compile_chunk", traced_chunk)
         monkeypatch.setattr(training_run, "make_flights", lambda *_: lambda networks: NO_LAPS)
@@ -124,6 +137,15 @@ def commands_of(code: str) -> list[list[str]]:
     ]
 
 
+def kind_of(arguments: list[str]) -> str:
+    """The key in ``OPTIONS`` of what a command does."""
+    several = arguments.count("--policy") > 1 and arguments[1] == "evaluate"
+    for option in ("seeds", "conditions", "flights"):
+        if f"--{option}" in arguments and arguments[1] in {"train", "evaluate"}:
+            return option
+    return "conditions" if several else arguments[1]
+
+
 def shortened(arguments: list[str]) -> list[str]:
     """A command with less to do: a short training, few runs."""
     if "--help" in arguments:
@@ -134,7 +156,7 @@ def shortened(arguments: list[str]) -> list[str]:
         short = short_overrides(arguments[2], changes)
         keys = {change.partition("=")[0] for change in short}
         result = [w for w in result if w.partition("=")[0] not in keys] + short
-    extra = OPTIONS.get("seeds" if "--seeds" in arguments else arguments[1], [])
+    extra = OPTIONS.get(kind_of(arguments), [])
     for option in [w for w in extra if w.startswith("--")]:
         if option in result:
             at = result.index(option)

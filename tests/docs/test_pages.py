@@ -4,10 +4,14 @@ import re
 
 from tests.docs.pages import PAGES, ROOT, blocks_of, name_of
 
-MAX_LINE, MAX_COLUMNS, MAX_README = 100, 7, 120
+MAX_LINE, MAX_COLUMNS, MAX_README = 100, 7, 90
 # By docs/hooks.py.
 GENERATED = {
-    *(f"docs/reference/{name}.md" for name in ("config", "commands", "sil_messages")),
+    f"docs/reference/{name}.md"
+    for name in (
+        *("config", "fit_config", "plant_config", "sweep_file", "vehicle_file"),
+        *("conditions", "observation", "log_formats", "commands", "sil_messages"),
+    )
 } | {f"docs/gallery/{path.stem}.html" for path in (ROOT / "docs" / "gallery").glob("*.json")}
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 CODE = re.compile(r"```.*?```|`[^`\n]*`", re.DOTALL)
