@@ -2,7 +2,7 @@
 
 Environment steps a second with the reset of finished episodes, the same with the observation for
 each vehicle model, and training steps a second. Every measurement runs in a separate process: the
-median of its repeats, in brackets the slowest. docs/design/results.md has numbers.
+median of its repeats, in brackets the slowest. docs/design/simulator.md has numbers.
 """
 
 import multiprocessing
