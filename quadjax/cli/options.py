@@ -93,10 +93,14 @@ def _policy_file(_: object, tokens: Sequence[Token]) -> Path:
     return find_policy(tokens[0].value)
 
 
-def _folder(_: object, tokens: Sequence[Token]) -> Path:
+def _path(_: object, tokens: Sequence[Token]) -> Path:
     if not tokens[0].value:
         raise ValueError("'', allowed: the name of a folder")
-    if (path := Path(tokens[0].value)).is_file():
+    return Path(tokens[0].value)
+
+
+def _folder(kind: object, tokens: Sequence[Token]) -> Path:
+    if (path := _path(kind, tokens)).is_file():
         raise ValueError(f"{path} is a file, allowed: a folder")
     return path
 
@@ -136,6 +140,7 @@ PolicyFile = Annotated[Path, Parameter(converter=_policy_file, metavar="FILE.npz
 PlantConfig = Annotated[str, config_of("plant"), Parameter(metavar="CONFIG")]
 FitConfig = Annotated[str, config_of("fit"), Parameter(metavar="FIT.yaml")]
 Race = Annotated[str | None, Parameter(metavar="CONFIG")]
+FolderOrFile = Annotated[Path, Parameter(converter=_path)]
 Folder = Annotated[Path, Parameter(converter=_folder, metavar="DIR")]
 RunsFolder = Annotated[Path, Parameter(converter=_folder, metavar="DIR", help="Write to DIR/NAME.")]
 PolicyFiles = Annotated[tuple[Path, ...], several(_policy_file), Parameter(metavar="FILE.npz")]
