@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from quadjax.config.loading import load_config
-from quadjax.core.resources import CONFIGS, PRETRAINED
+from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.report import gap_figure, report_figures, response
 from quadjax.evaluation.table import flights_table
 from quadjax.fitting.signals import first_order
@@ -146,18 +146,6 @@ def test_flights_without_a_lap_are_refused(tmp_path, capsys):
     for file, says in ((PRETRAINED / "e2e.npz", "format is"), (tmp_path / "b.npz", "no flight")):
         assert run("evaluate", "--flights", file, "--report", tmp_path / "out") == 2
         assert says in capsys.readouterr().err and not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-def test_logs_of_the_plant_have_the_laps_of_their_flights(tmp_path, capsys):
-    policy, logs = PRETRAINED / "e2e.npz", tmp_path / "logs"
-    plant = ("logs", CONFIGS / "plant" / "standin.yaml", "--race", "e2e")
-    assert run(*plant, "--policy", policy, "--flights", 1, "--laps", 1, "--output", logs) == 0
-    flights = ("--flights", f"plant={logs}/*.csv", "--report", tmp_path / "out")
-    assert run("evaluate", "e2e", *flights) == 0
-    (flight,) = json.loads((tmp_path / "out" / "report.json").read_text())["groups"]["plant"]
-    assert len(flight["gates"]) == 4 and flight["gates"] == sorted(flight["gates"])
-    assert flight["laps"][0] == pytest.approx(2.75, abs=0.15)
 
 
 def test_a_table_is_text_in_a_notebook_too(groups, monkeypatch):
