@@ -298,7 +298,7 @@ def _refitted(
 ) -> Model:
     """The model of ``folder/model.json``.
 
-    Where the logs of a round do not give one, it is the present one, without errors and refused.
+    Where the logs of a round do not give one, it is the present one, without errors and rejected.
     """
 
     def compute() -> dict[str, Any]:

@@ -130,7 +130,7 @@ def check_speeds(logs: Sequence[Flight], present: Model, scale_error: float) -> 
     """
     low, high = present.constants["rpm_min"], present.constants["rpm_max"]
     for log in logs:
-        if "actuators" not in log.signals:  # the fit refuses it
+        if "actuators" not in log.signals:  # the fit rejects it
             continue
         fastest = float(np.percentile(log["actuators"], 99.0))
         if fastest > high * (1.0 + scale_error):

@@ -49,7 +49,7 @@ def compare(
         indi: The policy that commands thrust and rates.
         race: Preset or YAML file, whose vehicle is the model on board.
         parts: Some of the parts (default: all).
-        conditions: Of the part plants: some of its rows, such as 'all effects' 'charge 0.2'
+        conditions: Some rows of the part plants, such as 'all effects' 'charge 0.2'
             (default: all).
         plants: Drawn plants, which share --runs.
         laps: Laps of a run.

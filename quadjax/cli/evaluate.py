@@ -104,10 +104,10 @@ def evaluate(
         only: Labels of some of the conditions (default: all).
         laps: Laps of a run (default: evaluate.laps).
         gates: Gates of a run, in place of laps.
-        seconds: Of a run, in place of laps.
+        seconds: Seconds of a run, in place of laps.
         runs: Number of runs (default: of the conditions, or evaluate.runs).
         start: hover (the default), around it, random (the states of training), or before_gate.
-        seed: Of noise, disturbances and starts.
+        seed: Seed of noise, disturbances and starts.
         deterministic: Mean actions only.
         plant: Fly on the stand-in plant of this config.
         plants: Number of drawn plants, which share the runs.
@@ -115,7 +115,7 @@ def evaluate(
         range_: With --fixed-point: a range that the C was exported with.
         body: Radius of the drone, m: gates, bounds and ground are closer by it.
         offsets: Print the distances from the gates' centers.
-        format: Of the table (default: text, with --conditions markdown).
+        format: Format of the table (default: text, with --conditions markdown).
         flights: A group of flights, with its label; may be repeated.
         report: Folder of the tables and figures.
         json: Write the laps, or the numbers of the conditions.

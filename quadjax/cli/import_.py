@@ -49,8 +49,8 @@ def import_(
         files: Policy, or thrust and moment, or all three, and the file with output_std;
             and changes of keys of the config.
         output: The file to write.
-        activation: Of a policy whose file has none.
-        std: Of the noise, where a policy's file has none.
+        activation: Activation of a policy whose file has none.
+        std: Standard deviation of the noise, where a policy's file has none.
         motors: Numbers in the network of the motors front-left, front-right, rear-right,
             rear-left.
         actuator_range: Actuator states observed as -1 and 1, if not those of CONFIG.

@@ -33,7 +33,7 @@ def logs(
         output: Folder of the logs.
         policy: Policy that flies: a file, or a shipped one's name; may be repeated.
         flights: Number of logs, of each policy.
-        seed: Of the first flight.
+        seed: Seed of the first flight.
         overwrite: Replace logs of the same names.
         race: Race of the policies.
     """

@@ -126,7 +126,7 @@ AllowCode = Annotated[
     Flag, Parameter(help="Import the reader of logs that the fit config names as module:OBJECT.")
 ]
 AllowUnfinished = Annotated[
-    Flag, Parameter(help="Accept a policy of which less than 90% of the simulated flights finish.")
+    Flag, Parameter(help="Accept a policy of which fewer than 90% of the simulated flights finish.")
 ]
 AllowOtherRace = Annotated[
     Flag, Parameter(help="Accept a race that differs from the one in the policy file.")

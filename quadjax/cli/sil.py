@@ -94,7 +94,7 @@ def sil(
         delay: Delay of late messages, ms.
         damage: Messages with one bit flipped.
         nan: A number of a state's field is NaN; may be repeated.
-        wrong_unit: Of the states: attitude=deg, rates=deg/s, position=mm, velocity=cm/s,
+        wrong_unit: Unit of a state's field: attitude=deg, rates=deg/s, position=mm, velocity=cm/s,
             rotor_speed=rpm; may be repeated.
         view: Show the flight in the browser.
     """

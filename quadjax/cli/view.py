@@ -46,13 +46,13 @@ def view(
     Args:
         flights: One or more, as above.
         output: Page, or its data (.json), or the flights (.npz).
-        name: Of the next flight, in order; may be repeated.
-        title: Of the page (default: the track's name).
+        name: Label of the next flight, in order; may be repeated.
+        title: Title of the page (default: the track's name).
         race: Race of the policies, and gates of files that contain none.
-        laps: Of policies (default: evaluate.laps).
-        runs: Of each policy.
+        laps: Laps of policies (default: evaluate.laps).
+        runs: Runs of each policy.
         sampled: Sampled actions of policies.
-        seed: Of the noise.
+        seed: Seed of the noise.
         open_: Open the page in the browser.
     """
     with loading():

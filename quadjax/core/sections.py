@@ -18,7 +18,7 @@ A config is a ``Section``; each key is declared once, with default, bounds and d
     search = load_section(Search, "mine.yaml", "sweeps", ["trials=2e3"])  # or InputError, one line
     text = to_yaml(search.model_dump())                                   # read_yaml reads it back
 
-Sections are frozen and refuse unknown keys. Types are strict: ``"1"`` and ``true`` are not numbers;
+Sections are frozen and reject unknown keys. Types are strict: ``"1"`` and ``true`` are not numbers;
 an ``int`` field takes ``2e6``, a ``tuple`` field takes a list (use ``tuple[float, ...]`` rather
 than ``list``, so that sections stay hashable), a ``float`` field takes only finite numbers.
 ``X | None`` takes ``null``. A ``ValueError`` from a validator becomes the

@@ -103,7 +103,7 @@ def export_c(
     Raises:
         InputError: no such target; a sample rate or cut-off out of range, or one for a vehicle
             without an estimator; a policy that cannot be converted, that leaves its declared
-            ranges, or of which less than 90% of the simulated flights finish; a race that differs
+            ranges, or of which fewer than 90% of the simulated flights finish; a race that differs
             from that of the policy file; a folder that cannot be written, or that holds an export.
     """
     rates = (

@@ -1,20 +1,20 @@
 """The words of a policy: what the C runtime runs, and the bytes of a ``.qjp`` file.
 
-``STRUCTS`` names every word: ``pack`` and ``read.unpack`` go by it, and ``runtime/qj_words.h`` is
-made from it. The words have 32 bits, little-endian, and follow each other:
+``STRUCTS`` names every word: ``pack`` and ``read.unpack`` use it, and ``runtime/qj_words.h`` is
+generated from it. The words have 32 bits, little-endian, and follow each other:
 
 - ``header``: counts, kind of commands, limits, hash of the policy, names;
-- ``layer`` of each: rows, columns;
-- the state: ``field`` of each, its code (``qj_field`` in ``qj.h``), first number and size; then
-  the exponent of the range 2^e of each number;
-- the observation: ``part`` of each field, its kind (1 position, 2 velocity, 3 attitude, 4 rotation,
-  5 copied, 6 scaled, 7 of the gate), first input, size, exponent, lag, name; then ``input`` of
-  each, its source, middle, factor, shift;
-- ``gate`` of each: position, axes, cosine, sine, size, round, yaw; and constants for each;
+- for each layer, ``layer``: rows, columns;
+- the state: for each field, ``field``: code (``qj_field`` in ``qj.h``), first number, size; then
+  for each number the exponent e of its range 2^e;
+- the observation: for each field, ``part``: kind (1 position, 2 velocity, 3 attitude, 4 rotation,
+  5 copied, 6 scaled, 7 of the gate), first input, size, exponent, lag, name; then for each input,
+  ``input``: source, middle, factor, shift;
+- for each gate, ``gate``: position, axes, cosine, sine, size, round, yaw; and constants;
 - weights and biases of each layer, in blocks of four rows: the four weights of column 0, of column
   1, and so on; columns, and rows of hidden layers, are padded with zeros to a multiple of 8;
 - ``estimator`` of disturbances and ``battery``, of the highest rpm, if the header says so;
-- ``noise``, in version 3 of policies that sample their actions;
+- ``noise``, in version 3, for policies that sample their actions;
 - self-tests: inputs and commands, states and inputs, samples of the estimators;
 - a CRC-32 of everything before it.
 

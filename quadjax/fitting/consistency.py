@@ -1,6 +1,6 @@
 """Consistency of a flight log's columns with one another, by one principle.
 
-Kinematics and Newton's law relate the quantities of a log. A log is refused when one simple change
+Kinematics and Newton's law relate the quantities of a log. A log is rejected when one simple change
 of the columns of one quantity (negated or permuted axes or motors, a scale, a delay, a rotation, a
 column of something else) explains it much better than the columns as logged. The measure is the
 gain of the log-likelihood over that of the best change within ``logs.max_scale_error``,

@@ -151,13 +151,13 @@ def blackbox_setting(settings: Mapping[str, str], name: str) -> float:
 def adjust_blackbox(quantities: Quantities, settings: Mapping[str, str]) -> Quantities:
     """Scale the sensors' counts by the log's settings; sensors in FRD axes.
 
-    Rows of a setting and its value may precede the header. Used are ``acc_1G`` (required if the
-    accelerometer is in counts), ``motorOutput`` (158 and 2048 without it, the values of motor
-    commands 0 and 1) and ``blackbox_high_resolution`` (the gyro is ten times larger). Accelerometer
-    and gyro are in FLU axes in some versions of the firmware and in FRD axes in others: where the
-    specific force points along positive z, y and z are negated. The attitude is that of FRD axes in
-    NED in all. Logs without a position estimate lack the velocity and are rejected: add the columns
-    of a motion capture system.
+    Rows of a setting and its value may precede the header. The reader uses ``acc_1G`` (required if
+    the accelerometer is in counts), ``motorOutput`` (values of motor commands 0 and 1; 158 and 2048
+    without it) and ``blackbox_high_resolution`` (the gyro is ten times larger). Accelerometer and
+    gyro are in FLU axes in some versions of the firmware and in FRD axes in others: where the
+    specific force points along positive z, y and z are negated. In all versions the attitude is
+    that of FRD axes in NED. Logs without a position estimate lack the velocity and are rejected:
+    add the columns of a motion capture system.
     """
     gyro, force = quantities["gyro"], quantities["acceleration"]
     if np.median(np.linalg.norm(force, axis=1)) > 200.0:  # m/s^2: counts
@@ -179,7 +179,7 @@ def adjust_tii(quantities: Quantities, _settings: Mapping[str, str]) -> Quantiti
 
     In the files they are in the order of rows or of columns: the one whose change is the gyro's.
     Body FLU or FRD and world z up or z down are found from the specific force. There are no rotor
-    speeds: the motors are fitted by what they do to thrust and moments, up to a common scale.
+    speeds: the motors are fitted by their effect on thrust and moments, up to a common scale.
     ``w_max`` is that of the base vehicle, or of ``body.rpm_range``; all other constants are right
     relative to it.
     """

@@ -4,8 +4,8 @@ The topics have their own clocks. Everything is brought to the clock of the body
 by interpolation, commands by their last value. Velocity and position are logged at 10 Hz: between
 their samples the accelerometer is integrated. A topic slower than 20 Hz, or 8 Hz for these, is
 rejected. Without ``sensor_combined``, ``vehicle_acceleration`` is read. ``SDLOG_PROFILE`` has to be
-17, the profiles "default" and "high rate" together: the default one alone logs the commands at 10
-Hz, and the high rate one alone no position.
+17, the profiles "default" and "high rate" together. The profile "default" alone logs the commands
+at 10 Hz; "high rate" alone logs no position.
 """
 
 import contextlib

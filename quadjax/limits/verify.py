@@ -22,7 +22,7 @@ from quadjax.race.types import Choices, RaceParams, RaceState
 from quadjax.vehicle.protocol import State
 
 TIME_TOLERANCE = 0.005  # relative to the time of the solution
-STEPS = 1000  # the number of steps is a multiple: each number is compiled anew
+STEPS = 1000  # the number of steps is a multiple: each number is compiled separately
 OVERRUN = 1.01  # the simulation is longer than the solution, to reach the last gate
 AT_REST = 0.02, 0.05  # m from the center of the last gate, and m/s, at the end of a flight at rest
 MISSED = 0.05  # m, by which a rejected flight may miss a gate and continue, to measure all misses

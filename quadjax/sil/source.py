@@ -80,7 +80,7 @@ def label_of(program: Path, converted: Converted) -> str:
     """The label of an autopilot's program, for the table.
 
     Raises:
-        InputError: its glue or its pilot refuses the policy.
+        InputError: its glue or its pilot rejects the policy.
     """
     done = subprocess.run([str(program)], capture_output=True, text=True)
     if done.stdout.strip():

@@ -38,8 +38,9 @@ class RateCommand(struct.PyTreeNode):
 class Rate(VehicleModel):
     """The model ``rate``: a drone with its inner loop, for INDI policies.
 
-    The commands are body rates, rad/s, and specific thrust, m/s^2, along body -z, which is the
-    actuator. Rates and thrust follow with first-order lags; the drag is linear.
+    The commands are body rates, rad/s, and specific thrust, m/s^2, along body -z. The
+    specific thrust is the actuator. Rates and thrust follow with first-order lags, and the drag is
+    linear.
     """
 
     name = "rate"

@@ -87,10 +87,10 @@ def compare_glue(sources: Sources, policy: FixedPolicy, work: Path) -> str:
         The largest difference, as text.
 
     Raises:
-        Failed: the glue refuses the policy, or commands something else.
+        Failed: the glue rejects the policy, or commands something else.
     """
     target, glue = sources.target, Autopilot(sources, work)
-    require(glue.wrong is None, f"the glue refuses the policy: {glue.wrong}")
+    require(glue.wrong is None, f"the glue rejects the policy: {glue.wrong}")
     held = policy.race.box.layout.counts_steps or not target.every_call
     calls = calls_per_step(1e9 / sources.call_ns, policy.time_step) if held else 1
     emulated, rows = PilotEmulator(policy, calls), random_vehicles(policy, GLUE_STEPS)

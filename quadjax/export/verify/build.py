@@ -160,7 +160,7 @@ class Library:
         """Build it and load the words.
 
         Raises:
-            Failed: the loader or the pilot refuses them.
+            Failed: the loader or the pilot rejects them.
         """
         self._policy, self._words = policy, np.frombuffer(words, np.int32).copy()
         files = [*sources.flying, HOST / "harness.c"]
@@ -168,7 +168,7 @@ class Library:
         self._library = library
         self._pilot = np.zeros(library.harness_size() // 8 + 1, np.int64)
         error = library.harness_load(*pointers(self._pilot, self._words), len(words), 0)
-        require(error == 0, f"the loader or the pilot refuses the words: error {error}")
+        require(error == 0, f"the loader or the pilot rejects the words: error {error}")
 
     def _rows(
         self, name: str, columns: int, kind: type, x: np.ndarray, *between: np.ndarray | int
@@ -217,7 +217,7 @@ class OnBoard:
         """Build it and load the words.
 
         Raises:
-            Failed: the loader or the pilot refuses them.
+            Failed: the loader or the pilot rejects them.
             Skipped: no emulator, or no compiler.
         """
         for module in ("unicorn", "elftools"):
@@ -239,7 +239,7 @@ class OnBoard:
         self.pilot = self.machine.reserve(self.machine.call("harness_size"))
         arguments = (self.pilot, *self._words, build.kernel)
         error = self.machine.call("harness_load", *arguments)
-        require(error == 0, f"{build.label}: the loader or the pilot refuses the words: {error}")
+        require(error == 0, f"{build.label}: the loader or the pilot rejects the words: {error}")
 
     def loading(self) -> tuple[int, int]:
         """Instructions and bytes of stack of ``qj_load``."""
