@@ -2,9 +2,9 @@
 
 import quadjax
 
-SCHEDULES = [  # of any number of the learner, the reward or the race
+SCHEDULES = [  # any number of the learner, the reward or the race can have one
     "schedules.learner.std={linear: [0.3, 0.05]}",  # less noise, over the whole run
-    "schedules.reward.gate_offset={linear: [10, 5], from: 0.25, until: 0.75}",  # of the run
+    "schedules.reward.gate_offset={linear: [10, 5], from: 0.25, until: 0.75}",  # fractions
     "schedules.start.yaw_deg={linear: [20, 180], until: 0.5}",
 ]
 

@@ -8,7 +8,7 @@ FOLDER = Path(__file__).parent
 DRONE = f"vehicle={FOLDER / '03_drone.yaml'}"
 TRACKS = {
     "triangle": [f"track={FOLDER / '03_track.yaml'}"],
-    "random": [  # which the seed and the settings determine
+    "random": [  # the seed and the settings determine the gates
         "track.generate.seed=3",
         "track.generate.gates=6",
         "track.generate.turn_deg=100",

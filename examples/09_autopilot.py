@@ -12,7 +12,7 @@ from quadjax import sil_message as sil
 HOST, PORT = "127.0.0.1", 40_000 + time.time_ns() % 20_000
 
 
-def control(state):  # gives body rates, rad/s, and specific thrust, m/s^2
+def control(state):  # returns body rates, rad/s, and specific thrust, m/s^2
     yaw = state["gate_yaw_rad"]
     ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])  # the line through the next gate
     place = state["position_ned_m"] - state["gate_position_ned_m"]

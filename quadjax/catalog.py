@@ -32,7 +32,7 @@ from quadjax.vehicle.summary import summarize
 from quadjax.vehicle.vehicle_file import VehicleFile
 
 PRESET = "e2e"  # the rules for a track file without rules
-COMMENT = "docs/guide/race.md, Drone: where the constants come from. A fit to logs has better ones."
+COMMENT = "Source of the constants: docs/guide/race.md, Drone. A fit to logs gives better ones."
 
 
 def kind_of(what: str) -> str:
