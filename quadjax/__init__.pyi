@@ -8,6 +8,8 @@ from quadjax.core.errors import InputError as InputError
 from quadjax.core.resources import presets as presets
 from quadjax.core.sections import Section as Section
 from quadjax.core.vectors import safe_norm as safe_norm
+from quadjax.evaluation.conditions import Condition as Condition
+from quadjax.evaluation.curves import training_figure as training_figure
 from quadjax.evaluation.evaluate import Evaluation as Evaluation
 from quadjax.evaluation.evaluate import evaluate as evaluate
 from quadjax.evaluation.report import Report as Report

@@ -1,6 +1,7 @@
 """What commands print and write: their present step, the names of files, and results as JSON."""
 
 import contextvars
+import os
 import shlex
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,6 +14,11 @@ SECONDS = 5.0  # between lines where there is no terminal
 ARGUMENTS: contextvars.ContextVar[Sequence[str]] = contextvars.ContextVar("ARGUMENTS", default=())
 
 
+def stderr() -> Console:
+    """Where messages go. A notebook's command line has a pseudo-terminal that shows every line."""
+    return Console(stderr=True, force_terminal=False if "JPY_PARENT_PID" in os.environ else None)
+
+
 @contextmanager
 def steps(console: Console | None = None) -> Iterator[Callable[[str], None]]:
     """Yield a function that shows the present step of a command until the block ends.
@@ -22,7 +28,7 @@ def steps(console: Console | None = None) -> Iterator[Callable[[str], None]]:
     Args:
         console: that of stderr if not given.
     """
-    console = console or Console(stderr=True)
+    console = console or stderr()
     if console.is_terminal:
         with console.status("starting") as status:
             yield status.update
@@ -40,7 +46,7 @@ def steps(console: Console | None = None) -> Iterator[Callable[[str], None]]:
 
 def note(text: str) -> None:
     """Print a line to stderr, apart from the results of a command."""
-    Console(stderr=True).print(text, highlight=False, markup=False, soft_wrap=True)
+    stderr().print(text, highlight=False, markup=False, soft_wrap=True)
 
 
 def wrote(*paths: Path | str | None) -> None:

@@ -10,8 +10,6 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.evaluation.conditions import Conditions
 from quadjax.evaluation.rows import concatenate
-from quadjax.fitting.flight_log import write_log
-from quadjax.fitting.formats import paparazzi_columns
 from quadjax.flights.flight import MOTORS, Flight, Signal
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flight import Plan
@@ -115,6 +113,9 @@ def write_logs(
     Raises:
         InputError: a flight that is not finite; then no log of that name is written.
     """
+    from quadjax.fitting.flight_log import write_log
+    from quadjax.fitting.formats import paparazzi_columns
+
     written: list[WrittenLog] = []
     for name, plan in plans.items():
         report(f"{name}: compiling")

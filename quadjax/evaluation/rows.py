@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Optional
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit  # scipy.stats takes a second to import
 
 from quadjax.race.laps import OUT_OF_TIME, Laps
 
@@ -189,5 +189,5 @@ def interval(values: np.ndarray) -> tuple[float, float]:
     finite = values[np.isfinite(values)]
     if finite.size < 2:
         return float(finite[0]) if finite.size else math.nan, math.nan
-    width = student.ppf(0.5 + 0.5 * CONFIDENCE, finite.size - 1) * finite.std(ddof=1)
+    width = stdtrit(finite.size - 1, 0.5 + 0.5 * CONFIDENCE) * finite.std(ddof=1)
     return float(finite.mean()), float(width / np.sqrt(finite.size))

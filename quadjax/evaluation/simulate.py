@@ -129,10 +129,12 @@ def _starts(
     if start == "before_gate":
         before = jax.vmap(functools.partial(start_before_gate, choices), (None, 0), -1)
         return jax.jit(before)(params, jax.random.split(key, runs))
-    if start == "around":
-        around = jax.jit(race.starting_states, static_argnums=(0, 3, 4, 5))
-        return around(choices, params, key, runs, True, True)
-    return race.starting_states(choices, params, key, runs, start == "hover")
+    if start == "random":  # a compiled program rounds random starts differently
+        return race.starting_states(choices, params, key, runs, from_hover=False)
+    return hover_starts(choices, params, key, runs, True, start == "around")
+
+
+hover_starts = jax.jit(race.starting_states, static_argnums=(0, 3, 4, 5))
 
 
 def _longest(tracks: Track) -> Track:

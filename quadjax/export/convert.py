@@ -7,12 +7,15 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError, writing
 from quadjax.core.files import whole_file, write_bytes, write_json
 from quadjax.core.folders import claim, replacement
 from quadjax.core.provenance import provenance
+from quadjax.export import emulator
 from quadjax.export.conversion import Converted, Options, convert_policy
 from quadjax.export.disturbances import CUTOFF, SAMPLE_RATE, check_cutoff
 from quadjax.export.flights import SEED, Rollouts
@@ -55,6 +58,13 @@ class Export:
     def text(self) -> str:
         """The report as text."""
         return report_text(self.report, self.name)
+
+    def commands(self, observations: np.ndarray) -> np.ndarray:
+        """The C's commands (n, k), in the vehicle's unit, of observations (n, inputs).
+
+        The observations are as ``Policy.mean`` takes them; the result has the bits of the C.
+        """
+        return emulator.commands(self.converted.fixed.network, observations)
 
 
 def export_c(

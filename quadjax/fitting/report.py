@@ -108,7 +108,12 @@ def text_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]])
     for row in rows:
         table.add_row(*row)
     console = Console(
-        file=io.StringIO(), width=WIDTH, markup=False, highlight=False, force_jupyter=False
+        file=io.StringIO(),
+        width=WIDTH,
+        markup=False,
+        highlight=False,
+        color_system=None,
+        force_jupyter=False,
     )
     with console.capture() as captured:
         console.print(table)

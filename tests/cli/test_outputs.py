@@ -102,6 +102,14 @@ def test_somebody_s_files_are_not_replaced(tmp_path, capsys, monkeypatch):
         assert (folder / file).read_text() == "mine"
 
 
+def test_a_command_of_a_notebook_has_no_terminal(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as a Jupyter kernel does
+    monkeypatch.delenv("JPY_PARENT_PID", raising=False)
+    assert output.stderr().is_terminal
+    monkeypatch.setenv("JPY_PARENT_PID", "1")
+    assert not output.stderr().is_terminal
+
+
 def test_the_steps_of_a_command_are_lines_where_there_is_no_terminal(monkeypatch):
     now = [100.0]
     monkeypatch.setattr(output.time, "monotonic", lambda: now[0])

@@ -9,7 +9,7 @@ from quadjax.core.errors import InputError
 from quadjax.fitting.config import load_fit_config
 from quadjax.fitting.fit import fit
 from quadjax.fitting.flight_log import write_log
-from quadjax.fitting.report import tables
+from quadjax.fitting.report import tables, text_table
 from quadjax.fitting.samples import ALL
 
 from .conftest import REPOSITORY
@@ -17,6 +17,13 @@ from .flights import simulated
 
 MOMENTS = ("Mx", "My", "Mz")
 CONFIG = REPOSITORY / "configs/fit/paparazzi.yaml"
+
+
+def test_a_table_has_no_colors_where_the_environment_forces_them(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as a Jupyter kernel does
+    assert (
+        text_table("errors", ["axis", "RMSE"], [["az", "0.2"]]) == "errors\naxis  RMSE\naz     0.2"
+    )
 
 
 @pytest.fixture(scope="module")
