@@ -19,7 +19,7 @@ from nbclient import NotebookClient
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-INPUTS = ("configs/**/*.yaml", "quadjax/pretrained/**/*.npz", "notebooks/*.json")
+INPUTS = ("configs/**/*.yaml", "quadjax/pretrained/**/*.npz")
 DEFAULTS = ["bebop1", "square4"]  # of every config that names no other vehicle and track
 CELL_SECONDS = 900
 
@@ -50,18 +50,20 @@ def _strings(value: object) -> Iterator[str]:
 
 
 def inputs_of(notebook: nbformat.NotebookNode, root: Path = ROOT) -> dict[str, str]:
-    """Contents of the configs, policies and results that its code names, by path.
+    """Contents of the configs and policies that its code names, by path.
 
-    A file is named by a string that is its file name, with or without the suffix. The files that a
-    config names in turn (bases, vehicle, track, residual) are among them. A YAML file counts by its
-    values, so comments do not matter.
+    A file is named by a string, or a word of a command, that is its file name, with or without the
+    suffix. The files that a config names in turn (bases, vehicle, track, residual) are among them.
+    A YAML file counts by its values, so comments do not matter.
     """
     files: dict[str, list[Path]] = {}
     for path in sorted(path for pattern in INPUTS for path in root.glob(pattern)):
         for name in {path.name, path.stem}:
             files.setdefault(name, []).append(path)
     contents: dict[str, str] = {}
-    texts = [text for code in code_of(notebook) for text in re.findall(r'"([\w./+ -]+)"', code)]
+    texts = []
+    for code in code_of(notebook):
+        texts += code.split() if code.startswith("%%") else re.findall(r'"([\w./+ -]+)"', code)
     words = []
     for preset, *parts in (text.split() for text in texts if text.strip()):  # "e2e +residual"
         names = [part.removeprefix("+") for part in parts]
@@ -97,7 +99,8 @@ def stamped(notebook: nbformat.NotebookNode) -> str | None:
 
 def execute(notebook: nbformat.NotebookNode, folder: Path) -> None:
     """Run every cell in a new kernel; outputs stay in the notebook, without times."""
-    path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH")) if p)
+    modules = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH")) if p)
+    commands = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     client = NotebookClient(
         notebook,
         timeout=CELL_SECONDS,
@@ -107,7 +110,8 @@ def execute(notebook: nbformat.NotebookNode, folder: Path) -> None:
         resources={"metadata": {"path": str(folder)}},
     )
     # Level 3: no messages of XLA on slow compilations of a busy machine in the outputs.
-    client.execute(env=os.environ | {"PYTHONPATH": path, "TF_CPP_MIN_LOG_LEVEL": "3"})
+    paths = {"PYTHONPATH": modules, "PATH": commands}
+    client.execute(env=os.environ | paths | {"TF_CPP_MIN_LOG_LEVEL": "3"})
     notebook.metadata = {
         "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
         "language_info": {"name": "python"},

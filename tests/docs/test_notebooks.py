@@ -1,7 +1,9 @@
 """Every notebook runs from its first cell to its last, and those in the repository have run."""
 
+import ast
 import json
 import re
+import runpy
 
 import pytest
 
@@ -10,6 +12,8 @@ pytest.importorskip("nbclient")
 
 from tests.docs.notebooks import (  # noqa: E402
     NOTEBOOKS,
+    ROOT,
+    code_of,
     execute,
     inputs_of,
     parameters_of,
@@ -17,32 +21,26 @@ from tests.docs.notebooks import (  # noqa: E402
     stamp,
     stamped,
 )
+from tests.docs.smaller import WIDE  # noqa: E402
+from tests.surface.names import LIBRARIES, inner_names  # noqa: E402
 from tests.surface.short import OF_EACH  # noqa: E402
 
 MAX_BYTES = 2_000_000
 SHORT = [word for word in OF_EACH if not word.startswith("run.steps=")]  # of any learner
 SMALL = {
-    "adaptation": [
-        "ROLL, PITCH, THRUST, CHARGES = (0.0,), (0.03,), (1.0,), ()",
-        'CONTENDERS = {"E2E": ("e2e", "e2e.npz")}',
-        "RUNS, FLIGHTS, LAPS, SEED = 2, 1, 1, 0",
+    "logs_to_c": [
+        'FIT = ["residual.seeds=1", "residual.epochs=3", "residual.mirror=off"]',
+        f"FLIGHTS, LAPS, STEPS, OVERRIDES = 2, 1, 512, {SHORT}",
+        "ROLL, THRUST, RUNS, SEED = (0.0,), (1.0,), 2, 0",
+        f'EXPORT = {{"allow_unfinished": True, "ranges": {WIDE}}}',
+        'VERIFY = "--vectors 100 --allow-unfinished"',
     ],
-    "e2e_vs_indi": [
-        "RUNS, LAPS, SEED, SHOWN_SECONDS = 2, 1, 0, 0.5",
-        'CHANGES = {"E2E": (), "INDI": ()}',
-    ],
-    "fixed_point": ['POLICY, FLIGHTS, LAPS, VECTORS = "e2e.npz", 4, 1, 200'],
     "reproduce_paper": [
         'AUTHORS, STEPS = "nowhere", {"E2E": 512, "INDI": 512}',
         f"OVERRIDES = {SHORT}",
-        "RUNS, LAPS, SEED = 2, 1, 0",
+        "RUNS, PLANT_RUNS, LAPS, SEED, CHANGES = 2, 1, 1, 0, {}",
     ],
-    "residual_fit": [
-        "FLIGHTS, LAPS, SEED, LEAST_SECONDS = 2, 1, 0, 2.5",
-        'SMALL = "seeds: 1, epochs: 3, mirror: off"',
-        'OVERRIDES = ["residual={" + SMALL + "}"]',
-    ],
-    "train_and_tune": [
+    "train": [
         "STEPS, SEED, RUNS = 512, 0, 2",
         'CHANGE = ("slow", ["learner.learning_rate=1e-4"])',
         f"OVERRIDES = {SHORT}",
@@ -78,13 +76,16 @@ def test_the_stored_outputs_are_complete(path):
 
 @by_name
 def test_it_explains_and_calls(path):
-    """Text leads, one cell holds the parameters, and functions are in the package."""
+    """Text leads, one cell holds the parameters, and the rest calls public functions."""
     notebook = read(path)
     assert notebook.cells[0].cell_type == "markdown"
     assert notebook.cells[0].source.startswith("# ")
     assert parameters_of(notebook).cell_type == "code"
-    code = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "code")
+    code = "\n".join(code_of(notebook))
     assert not re.search(r"^\s*(def|class) ", code, re.MULTILINE)
+    code = "\n".join(code for code in code_of(notebook) if not code.startswith("%%"))
+    tree = ast.parse(re.sub(r"^%.*$", "", code, flags=re.MULTILINE))
+    assert not inner_names(tree, LIBRARIES | {"matplotlib", "IPython"})
 
 
 @by_name
@@ -94,6 +95,18 @@ def test_the_stored_outputs_are_of_the_present_inputs(path):
         f"{path.name} is stale: its code, or a config or policy that it uses, has changed since it "
         "was executed; run make notebooks"
     )
+
+
+@by_name
+def test_its_page_has_its_text_and_pictures(path):
+    pytest.importorskip("mkdocs")
+    page_of = runpy.run_path(str(ROOT / "docs" / "notebook_pages.py"))["page_of"]
+    text, pictures = page_of(json.loads(path.read_text(encoding="utf-8")), path.stem)
+    assert text.startswith("# ") and "](../docs" not in text
+    assert set(re.findall(r"^!\[Output\]\((.+)\)$", text, re.MULTILINE)) == set(pictures)
+    assert len(pictures) > 1 and all(data[1:4] == b"PNG" for data in pictures.values())
+    for cell in read(path).cells:
+        assert cell.source.splitlines()[-1].replace("](../docs/", "](../") in text
 
 
 def test_what_makes_a_notebook_stale(tmp_path):
@@ -106,12 +119,15 @@ def test_what_makes_a_notebook_stale(tmp_path):
     def notebook(code):
         return nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(code)])
 
-    own = notebook('load("race")')
-    assert set(inputs_of(own, tmp_path)) == {"configs/race.yaml", "configs/part.yaml"}
-    first = stamp(own, tmp_path)
+    named = notebook('load("race")')
+    assert set(inputs_of(named, tmp_path)) == {"configs/race.yaml", "configs/part.yaml"}
+    assert set(inputs_of(notebook("%%sh\nquadjax train race --name x"), tmp_path)) == set(
+        inputs_of(named, tmp_path)
+    )
+    first = stamp(named, tmp_path)
     part.write_text("# a comment\nsteps: 1\n")
-    assert stamp(own, tmp_path) == first
+    assert stamp(named, tmp_path) == first
     part.write_text("steps: 2\n")
-    assert stamp(own, tmp_path) != first
+    assert stamp(named, tmp_path) != first
     part.write_text("steps: 1\n")
     assert stamp(notebook('load("race", 2)'), tmp_path) != first

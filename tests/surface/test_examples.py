@@ -10,11 +10,11 @@ import pytest
 
 import quadjax
 from tests.docs.smaller import CODE, load_short, smaller
+from tests.surface.names import inner_names
 
 ROOT = Path(__file__).resolve().parents[2]
 LEARNS = "07_pendulum"  # as it is, in tests/learners
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-LIBRARIES = {"jax", "numpy", "flax", "optax"}
 
 
 def test_the_examples_are_numbered():
@@ -29,23 +29,6 @@ def test_examples_are_short_and_use_only_public_names():
         assert sum(bool(line.strip()) for line in text.splitlines()) <= 40, path.name
         assert text.startswith('"""') and "\ndef main():\n" in text, path.name
         assert not inner_names(ast.parse(text)), path.name
-
-
-def inner_names(tree: ast.Module) -> set[str]:
-    """What a module takes from elsewhere than the public names, libraries and Python's modules."""
-    public = {f"quadjax.{name}" for name in quadjax.__all__} | {"quadjax"}
-    names = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            names |= {f"{node.module}.{alias.name}" for alias in node.names}
-        elif isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "quadjax":
-            names.add(f"quadjax.{node.attr}")
-        elif isinstance(node, ast.Attribute) and node.attr.startswith("_"):
-            names.add(node.attr)
-    allowed = LIBRARIES | sys.stdlib_module_names
-    return {name for name in names if name.split(".")[0] not in allowed} - public
 
 
 def test_an_inner_module_is_not_public():
