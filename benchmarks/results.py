@@ -33,11 +33,6 @@ def spread(values: list[float] | None) -> str:
     return median if len(values) == 1 else f"{median} ({low}-{high})"
 
 
-def seconds(row: Row, condition: str) -> str:
-    """Mean time under a condition: median and range over the seeds."""
-    return spread(row["total"].get(condition))
-
-
 def finished(row: Row, condition: str) -> str:
     """Number of flights that finish, of those of all seeds."""
     counts = row["finished"].get(condition)
@@ -47,12 +42,15 @@ def finished(row: Row, condition: str) -> str:
 COLUMNS: dict[str, Callable[[Row], str]] = {
     **{key: lambda row, key=key: row[key] for key in ("policy", "race", "trained with", "time")},
     "name": lambda row: f"`{row['name']}`",
-    **{f"{c}, s": lambda row, c=c: seconds(row, c) for c in CONDITIONS},
+    **{f"{c}, s": lambda row, c=c: spread(row["total"].get(c)) for c in CONDITIONS},
     "hover": lambda row: finished(row, "sampled"),
     "random starts": lambda row: finished(row, "sampled, random"),
     "10^6 steps": lambda row: f"{row['steps'] / 1e6:.1f}",
     "noise": lambda row: f"{statistics.median(row['noise']):.2f}" if "noise" in row else "-",
-    **{c: lambda row, c=c: f"{seconds(row, c)} ({row['finished'][c][0]})" for c in CONDITIONS},
+    **{
+        c: lambda row, c=c: f"{spread(row['total'][c])} ({row['finished'][c][0]})"
+        for c in CONDITIONS
+    },
 }
 TABLES = {  # of the page: rows and columns
     "presets": ("presets", "name|mean, s|sampled, s|hover|random starts"),
@@ -100,6 +98,8 @@ def main(*words: str) -> None:
     data = json.loads(FILE.read_text(encoding="utf-8"))
     if words:
         rows = {row["name"]: row for part in data.values() for row in part if "name" in row}
+        if words[0] != "measure" or len(words) < 3 or words[1] not in rows:
+            sys.exit(f"allowed: measure ROW POLICY..., with ROW one of: {', '.join(rows)}")
         measure(rows[words[1]], words[2:])
         parts = [f'"{k}": [\n' + ",\n".join(map(json.dumps, v)) + "\n]" for k, v in data.items()]
         FILE.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
