@@ -24,8 +24,8 @@ def logs(
 ) -> None:
     """Write flight logs of policies on a simulated drone.
 
-    Each flight is written to DIR/POLICY_RUN.csv. PLANT is standin, or exact: a drone
-    with the training model's constants, no other effects and no sensor errors.
+    Each flight is written to DIR/POLICY_RUN.csv. PLANT is standin, rough, or exact: a
+    drone with the training model's constants, no other effects and no sensor errors.
 
     Example: quadjax logs standin --policy e2e_nominal --policy indi --output logs
 

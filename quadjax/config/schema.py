@@ -182,7 +182,7 @@ class Config(Section):
 
     name: FolderName = Field(
         "run",
-        description="of the run; results are written to runs/NAME",
+        description="name of the run; results are written to runs/NAME",
     )
     seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of all random numbers of training")
     vehicle: Vehicle = Vehicle()

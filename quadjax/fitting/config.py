@@ -37,17 +37,19 @@ def _as_list(value: object) -> object:
 class UnitsConfig(Section):
     """Units of a log's columns, converted to SI and rpm; null is the format's."""
 
-    time: Literal["s", "ms", "us"] | None = Field(None, description="of time stamps")
+    time: Literal["s", "ms", "us"] | None = Field(None, description="unit of time stamps")
     rpm: Literal["rpm", "krpm", "rad/s"] | None = Field(
-        None, description="of propeller speeds and their commands"
+        None, description="unit of propeller speeds and their commands"
     )
-    gyro: Literal["rad/s", "deg/s"] | None = Field(None, description="of body rates")
+    gyro: Literal["rad/s", "deg/s"] | None = Field(None, description="unit of body rates")
     acceleration: Literal["m/s^2", "g"] | None = Field(
-        None, description="of specific force, and its bias"
+        None, description="unit of specific force and its bias"
     )
-    velocity: Literal["m/s", "cm/s"] | None = Field(None, description="of body and world velocity")
-    length: Literal["m", "cm", "mm"] | None = Field(None, description="of the position")
-    angle: Literal["rad", "deg"] | None = Field(None, description="of Euler angles")
+    velocity: Literal["m/s", "cm/s"] | None = Field(
+        None, description="unit of body and world velocity"
+    )
+    length: Literal["m", "cm", "mm"] | None = Field(None, description="unit of the position")
+    angle: Literal["rad", "deg"] | None = Field(None, description="unit of Euler angles")
 
 
 class LogsConfig(Section):

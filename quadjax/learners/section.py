@@ -55,7 +55,7 @@ class Network(Section):
     normalize: bool = Field(
         False,
         description="train on lengths in legs and on times in leg times of the race; the policy "
-        "file takes plain units all the same",
+        "file has plain units in any case",
     )
 
 

@@ -134,7 +134,7 @@ class ConstantsConfig(Section):
     """The drone's own constants, each drawn once around the training model's."""
 
     spread: Half = Field(0.04, description="largest relative deviation of a constant")
-    seed: int = Field(1, ge=0, le=MAX_SEED, description="of the draw")
+    seed: int = Field(1, ge=0, le=MAX_SEED, description="seed of the draw")
 
 
 class DelayConfig(Section):

@@ -65,7 +65,7 @@ class Observation(Section):
     )
     highest_rpm: Source = Key(
         "estimated",
-        description="source of the observed limit of the propeller speeds, with a battery: as of "
+        description="source of the observed limit of the propeller speeds, with a battery, as for "
         "disturbance; none: it is not observed",
     )
     attitude: Literal["euler", "rotation"] = Key(

@@ -55,7 +55,9 @@ class Rules(Section):
         description="largest speed within ground_height of the ground, m/s, so that races can "
         "start on it; null: touching the ground is a collision",
     )
-    ground_height: float = Field(0.4, ge=0, le=100, description="see ground_speed, m")
+    ground_height: float = Field(
+        0.4, ge=0, le=100, description="height below which ground_speed applies, m"
+    )
     gate_frame: Annotated[float, UnusedAtZero()] = Field(
         0.0,
         ge=0,
