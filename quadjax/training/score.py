@@ -17,7 +17,7 @@ from quadjax.race.types import RaceParams
 from quadjax.training.build import network_policy
 
 FEW_STEPS = 4e6  # before which hardly any run completes a lap
-GUIDE = "docs/guide/race.md, When it does not learn"
+GUIDE = "docs/guide/race.md, When a policy does not learn"
 CHANGES = {name: row.advice for name, row in TERMINATIONS.items()} | {
     OUT_OF_TIME: "raise training_limits.gate_inflation and learner.discount, or run.steps"
 }
