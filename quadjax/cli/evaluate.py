@@ -37,7 +37,7 @@ Listed = Annotated[
     Parameter(
         name=("--conditions", "--study"),
         metavar="NAME",
-        help=f"Fly under each condition of {', '.join(preset_names('conditions'))}, or a YAML file.",
+        help=f"List of conditions: {', '.join(preset_names('conditions'))}, or a YAML file.",
     ),
 ]
 
