@@ -58,25 +58,26 @@ def evaluate(
 
     Args:
         policy: a policy, or the path of its file.
-        config: of the race: a config, a preset's name or a YAML file.
+        config: the race: a config, a preset's name or a YAML file.
         runs: number of runs.
-        laps: of a run.
-        gates: of a run, in place of laps.
-        seconds: of a run, in place of laps: it ends then, or with a crash.
+        laps: number of laps of a run.
+        gates: number of gates of a run, in place of laps.
+        seconds: duration of a run, in place of laps; a crash ends it earlier.
         deterministic: apply the mean action; samples otherwise.
         start: from hover before the first gate ("hover"), from hover around that place ("around"),
             from the random starts of training ("random"), or 1 m before a random gate
             ("before_gate").
-        seed: of the noise, the disturbances and the starts.
+        seed: seed of the noise, the disturbances and the starts.
         conditions: a list of conditions, its file, or a name in ``configs/conditions``.
-        plant: config of the stand-in plant on which the policy flies; None: in the simulator. Of
-            several conditions those that do not start from hover are left out.
+        plant: config of the stand-in plant on which the policy flies; None: the simulator. On a
+            plant, conditions that do not start from hover are left out.
         plants: number of drawn plants, which share the runs. Each has its own noise.
         tracks: fly each run on another random track, with the seeds after those of
             ``randomization.tracks``.
-        name: of the policy, for messages, tables and JSON; its path if not given.
-        body_radius: of the drone, m, in place of ``rules.body_radius``; gates are then tested where
-            the line between two samples crosses their planes (``rules.gate_test: interpolated``).
+        name: name of the policy in messages, tables and JSON; its path if not given.
+        body_radius: radius of the drone, m, in place of ``rules.body_radius``; gates are then tested
+            where the line between two samples crosses their planes (``rules.gate_test:
+            interpolated``).
         actor: computes the actions; see ``quadjax.policy.pilot.fly``.
         progress: called with the label of each condition before it is flown.
 
@@ -138,13 +139,13 @@ def _label(name: str) -> str:
 class Evaluation:
     """Timed flights: a row for each policy and condition.
 
-    ``laps``, ``flights``, ``best`` and the figures are of the first row.
+    ``laps``, ``flights``, ``best`` and the figures are those of the first row.
 
     Attributes:
         rows: policies one after the other, conditions in their order.
         protocol: how they were flown, and how the table looks.
         provenance: versions, config, policy, seed, date and device.
-        records: of each row, a function that returns the recorded flights.
+        records: for each row, a function that returns the recorded flights.
         by_condition: whether a list of conditions was flown.
         left_out: labels of conditions that the plant does not have.
     """

@@ -37,7 +37,7 @@ def write_report(groups: Groups, config: Config, folder: Path) -> str:
 
     Args:
         groups: flights by the label of their group.
-        config: of the race: its track, and the constants of its vehicle.
+        config: the race, of which the track and the constants of the vehicle are used.
         folder: to write to.
 
     Raises:
@@ -69,7 +69,7 @@ class Report:
 
     Attributes:
         groups: flights by the label of their group, as ``evaluate(..).flights`` returns them.
-        config: of the race: its track, and the constants of its vehicle.
+        config: the race, of which the track and the constants of the vehicle are used.
     """
 
     groups: Groups

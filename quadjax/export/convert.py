@@ -91,14 +91,14 @@ def export_c(
     Args:
         policy: a policy or the path of a policy file.
         folder: where the C goes.
-        config: of the race that the policy was trained in: a configuration or the path of one.
+        config: the race that the policy was trained in: a config or the path of one.
             Without it: the config in the policy file, or the preset that the file names.
         ranges: half-widths of the inputs that differ from the defaults, powers of two, by name:
             ``{"position": 16.0}``.
-        name: of the files and of the table in C; the policy file's name by default.
+        name: name of the files and of the table in C; the policy file's name by default.
         track: a track file that replaces the config's.
-        sample_rate: of the estimators on board, Hz; 512 by default.
-        cutoff: of the disturbance estimator's low-pass, Hz; 8 by default.
+        sample_rate: sample rate of the estimators on board, Hz; 512 by default.
+        cutoff: cut-off of the disturbance estimator's low-pass, Hz; 8 by default.
         allow_unfinished: export a policy although it does not finish its own race.
         allow_other_race: export for a race that differs from the one in the policy file.
         target: processor and autopilot, a name of ``targets.TARGETS``.

@@ -135,8 +135,8 @@ class LearnerSection(Section):
             environment: three pure functions of one agent.
             params: traced parameters of the environment.
             steps: environment steps of the run, at least; a whole number of updates.
-            seed: of all random numbers.
-            network: hidden layers of policy and value, or networks with functions of the user's;
+            seed: seed of all random numbers.
+            network: hidden layers of policy and value, or networks with the user's own functions;
                 ``normalize``, in units of a race, has no effect.
             schedules: numbers that change during training: a ``Schedule``, or only its values, by
                 the name of a hyperparameter or the dotted path of a leaf of ``params``, such as

@@ -79,12 +79,12 @@ class Policy:
     ``command_high``].
 
     Attributes:
-        layers: kernel (in, out) and bias (out,) of each.
+        layers: kernel (in, out) and bias (out,) of each layer.
         log_std: (actions,) natural logarithm of the noise's standard deviation.
         vehicle: name of the vehicle model.
-        activation: of the hidden layers, "relu" or "tanh".
-        command_low: (actions,) in the units of the model's commands.
-        command_high: (actions,)
+        activation: activation of the hidden layers, "relu" or "tanh".
+        command_low: (actions,) lowest commands, in the units of the model's commands.
+        command_high: (actions,) highest commands.
         layout: the fields of the observation, with the scale of each.
         source: where the policy comes from.
         noise_on: "mean" or "clipped_mean": what the noise of a sample is added to.

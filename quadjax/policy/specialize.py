@@ -22,8 +22,8 @@ def specialize(policy: Policy, config: Config, name: str = "policy") -> Policy:
     field, and is exported and fine-tuned as any other.
 
     Args:
-        policy: which observes ``constants``.
-        config: of the race with that drone.
+        policy: a policy that observes ``constants``.
+        config: the race with that drone.
         name: the policy's file, for messages.
 
     Raises:

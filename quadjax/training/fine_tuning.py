@@ -30,8 +30,8 @@ def fine_tuning(config: Config, policy: Path | str) -> Config:
     config's and end at zero.
 
     Args:
-        config: of the race in which the policy is to fly.
-        policy: its file.
+        config: the race in which the policy is to fly.
+        policy: file of the policy.
     """
     last = with_scheduled_values(config)
     rates = [name for name in RATES if name in type(config.learner).model_fields]

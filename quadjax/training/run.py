@@ -62,7 +62,7 @@ def train(
 
     Args:
         config: what to train: a config, a preset's name or a YAML file.
-        folder: of the run; ``runs/NAME`` if not given.
+        folder: folder of the run; ``runs/NAME`` if not given.
         resume: continue from the last checkpoint, if there is one.
         overwrite: remove what an earlier run left in the folder; other files stay.
         progress: print the progress to stderr.
