@@ -75,8 +75,8 @@ def evaluate(
         tracks: fly each run on another random track, with the seeds after those of
             ``randomization.tracks``.
         name: name of the policy in messages, tables and JSON; its path if not given.
-        body_radius: radius of the drone, m, in place of ``rules.body_radius``; gates are then tested
-            where the line between two samples crosses their planes (``rules.gate_test:
+        body_radius: radius of the drone, m, in place of ``rules.body_radius``; a gate is then
+            tested where the line between two samples crosses its plane (``rules.gate_test:
             interpolated``).
         actor: computes the actions; see ``quadjax.policy.pilot.fly``.
         progress: called with the label of each condition before it is flown.

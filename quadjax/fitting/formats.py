@@ -101,7 +101,7 @@ class LogFormat:
     Attributes:
         columns: names of the columns by quantity (see ``quadjax.fitting.formats.QUANTITIES``);
             motors in the order front-left, front-right, rear-right, rear-left.
-        alternatives: by quantity further names, used where a log lacks the first ones.
+        alternatives: further names by quantity, used where a log lacks the first ones.
         units: by kind, where they are not SI and rpm (see ``quadjax.fitting.formats.UNITS``).
         body_frame: FRD, FLU, or auto: by the direction of the thrust.
         world_frame: NED, ENU, or auto: by the direction of gravity.

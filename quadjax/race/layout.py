@@ -126,7 +126,7 @@ class ObservedField:
     Attributes:
         name: unique in a layout.
         size: number of scalars.
-        unit: of the numbers before they are scaled.
+        unit: unit of the numbers before they are scaled.
         frame: "gate" (x through the target gate, y to its right, z down), "body" or "".
         range: largest magnitude of a network input, a power of two: the default of the export.
         value: ``(step) -> numbers``, each (), pure; None in the layout of a file.

@@ -160,10 +160,10 @@ class Outcome(struct.PyTreeNode):
 class Step(struct.PyTreeNode):
     """One step of one drone in its race. World NED, body FRD, SI units, rad.
 
-    A reward term is a function of it that returns a () float, added to the step's reward with its
-    weight (multiply by ``time_step`` for a reward per second). A rule is a function of it that
-    returns a () bool; true ends the episode, in training and in timed laps, as a collision does.
-    The value of an observed ``Field`` is a function of it that returns the field's numbers. All
+    A reward term is a function of a step that returns a () float, added to the reward with its
+    weight (multiply by ``time_step`` for a reward per second). A rule is a function of a step
+    that returns a () bool; true ends the episode, in training and in timed laps, as a collision
+    does. The value of an observed ``Field`` is a function of a step that returns its numbers. All
     must be pure and written with ``jax.numpy``.
 
     Attributes:

@@ -41,7 +41,7 @@ class VehicleParams(struct.PyTreeNode):
     """What a model is computed with; all of it traced.
 
     Attributes:
-        constants: of the model.
+        constants: constants of the model.
         residual: a learned correction of the equations, where the model takes one.
         opaque_true: () bool with which a model computes values once; see
             ``quadjax.core.materialize``. None: plain functions.
@@ -89,7 +89,7 @@ class VehicleModel:
         actuators: the actuators' measured state, one group of the observation.
         populations: ``(nominal, numbers) -> constants`` by name, for ``randomization.population``:
             a drone of a population, of one number in [-1, 1] for each constant.
-        moment_unit: of a moment: N m, or rad/s^2 where it is per inertia.
+        moment_unit: unit of a moment: N m, or rad/s^2 where it is per inertia.
         uses_start_thrust: whether ``start`` uses the config's ``start.thrust``.
         has_battery: whether commands and actuators are propeller speeds, rpm, ``Rotors``, which a
             battery limits.
