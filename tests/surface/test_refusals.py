@@ -78,6 +78,9 @@ train e2e --fine-tune bytes.npz | bytes.npz
 train e2e --fine-tune nosuch.npz | nosuch.npz
 evaluate e2e | --policy
 evaluate e2e --policy nosuch | nosuch e2e_nominal
+evaluate e2e --policy e2e_nominal track=nosuch | track.file nosuch
+logs standin --policy e2e constants.sede=3 --output new | constants.sede seed
+evaluate e2e --policy e2e --figures bytes.npz | bytes.npz folder
 evaluate e2e --policy bytes.npz | bytes.npz
 evaluate e2e --policy indi | rate motor
 evaluate e2e --policy e2e --runs 0 | --runs 0
