@@ -18,6 +18,7 @@ from benchmarks.loop_results import (
 )
 from quadjax.cli.fit import fit
 from quadjax.cli.logs import logs
+from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, write_json
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.report import response
@@ -62,8 +63,12 @@ class Drone:
     def contend(self, name: str, seed: int) -> Mapping[str, Any]:
         """A contender's flights in its training race and on the drone, with its model's errors."""
         path = self.folder / f"{name}, seed {seed}.json"
+        made_with = {"plant": self.plant, "steps": self.steps}
         if path.exists():
-            return read_json(path)
+            record = read_json(path)
+            if made_with.items() <= record.items():
+                return record
+            raise InputError(f"{path}: of another plant or number of steps; name another --output")
         model = self.identify()
         words = [*CONTENDERS[name], f"seed={seed}", f"run.steps={self.steps}"]
         words += [f"vehicle.file={model / 'vehicle.yaml'}"]
@@ -72,7 +77,7 @@ class Drone:
         run = quadjax.train(config, self.folder / "runs" / path.stem, resume=True)
         still = config.replace(disturbance=type(config.disturbance)())
         drone = load_plant_config(self.plant, [f"constants.seed={self.number}"])
-        record, flights = {}, []
+        record, flights = dict[str, Any](made_with), []
         for key, noise in ({CHOSEN: 0} | REPORTED).items():
             plant = None if key == "simulated" else drone
             flown = quadjax.evaluate(run.policy, still, plant=plant, seed=noise, **RUNS)

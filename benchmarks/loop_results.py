@@ -7,11 +7,12 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from quadjax.core.errors import InputError
 from quadjax.core.files import read_json
 from quadjax.flights.flight import Flight
 
 E2E, TUNED = "E2E, residual and estimate", "INDI, tuned"
-LIMITS = range(8, 21)  # m/s^2, of INDI's thrust
+LIMITS = range(10, 21)  # m/s^2, of INDI's thrust
 CHOSEN = "chosen"  # the flights by which INDI's limit is chosen
 GRAVITY = 9.81  # m/s^2
 LAPS = 6
@@ -36,7 +37,10 @@ def fastest_limit(folder: Path) -> str:
         return flown["finished"], -float(np.mean([total or 0.0 for total in flown["totals"]]))
 
     names = [f"INDI, T {limit}" for limit in LIMITS]
-    return max((n for n in names if (folder / f"{n}, seed 0.json").exists()), key=merit)
+    flown = [name for name in names if (folder / f"{name}, seed 0.json").exists()]
+    if not flown:
+        raise InputError(f"{folder}: no flights of INDI; run benchmarks.loop with INDI, tuned")
+    return max(flown, key=merit)
 
 
 def reader(folder: Path, drones: Sequence[int], seeds: Sequence[int]) -> Read:

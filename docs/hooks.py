@@ -167,7 +167,9 @@ VEHICLES = """\
 A vehicle file has a mapping of constants for each model, and the optional keys of
 [Your drone](../guide/race.md#drone). World frame north-east-down; body frame x forward, y right, z
 down; motors 1 front-left, 2 front-right, 3 rear-right, 4 rear-left; 2 and 4 turn counter-clockwise
-seen from above. `w'` is the derivative of `w`. A constant of the rotors is one number or a list."""
+seen from above. `w'` is the derivative of `w`. A constant of the rotors is one number or a list;
+`turning` lists `cw` or `ccw`, seen from above, for each rotor. `configs/vehicles/5inch.yaml` is a
+complete file."""
 FIELDS = """\
 What a policy can observe ([Change the race](../guide/race.md#reward-observation-and-rule)):
 `attitude` or `rotation`, more gates with `observation.gates_ahead`, and `last_action`,
