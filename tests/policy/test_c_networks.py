@@ -105,13 +105,18 @@ def test_a_residual_of_two_c_files(tmp_path, files, with_policy):
 def test_c_files_that_do_not_fit_are_one_line(tmp_path, files, capsys):
     (network, controller, thrust, moment), _ = files
     write_c(tmp_path / "tanh.c", (7, 5, 1), "nn_thrust_", "tanh(x);")
+    (tmp_path / "both.c").write_text(thrust.read_text() + moment.read_text())
+    (tmp_path / "whole.c").write_text(network.read_text() + CONTROLLER)
     (tmp_path / "three.c").write_text("const float output_std[3] = {0.1, 0.1, 0.1};")
     sign = ("--thrust-sign", 1)
     for arguments, says in (
         ((network,), "no log_std or output_std"),
+        ((tmp_path / "whole.c", controller), "has a standard deviation, so"),
+        ((network, controller, "--std", 0.1), "--std has no effect"),
         ((network, tmp_path / "three.c"), "3 standard deviations, expected 4"),
         ((thrust, moment), "--thrust-sign is missing"),
         ((moment, thrust, *sign), "the thrust network maps 10 inputs to 3 outputs"),
+        ((tmp_path / "both.c", moment, *sign), "has nn_thrust_weights_fc1, nn_thrust_weights"),
         ((tmp_path / "tanh.c", moment, *sign), "its activation is tanh, a residual has relu"),
     ):
         assert run("import", "e2e_paper", *arguments, "--output", tmp_path / "out.npz") == 2

@@ -153,6 +153,9 @@ def as_c(path, text):
 
 
 NET = linear((24, 6, 4))
+ONE_BIAS = {name: array for name, array in NET.items() if name != "2.bias"}
+SHARED = sb3_tensors() | {"mlp_extractor.shared_net.0.weight": np.zeros((3, 3), np.float32)}
+ELU = {"policy_kwargs": {"activation_fn": "<class 'x.ELU'>"}}
 SAC = linear((24, 6, 4), prefix="actor.latent_pi.")
 
 
@@ -160,7 +163,11 @@ MISFITS = [  # file, options, what the message says
     (as_model, {}, {"config": "indi_paper"}, "takes 24 numbers, .* observe 17: posi"),
     (as_model, {}, {"activation": "tanh"}, "its activation is relu, not tanh"),
     (as_model, {"arrays": SAC}, {}, "PPO or A2C"),
+    (as_model, {"arrays": SHARED}, {}, "shared_net"),
+    (as_model, {"data": ELU}, {}, "the activation is elu, allowed: relu, tanh"),
     (as_dict, {"arrays": NET}, {"activation": "relu"}, "give the noise's std"),
+    (as_dict, {"arrays": ONE_BIAS}, {}, "2.weight has no 2.bias"),
+    (as_c, {"text": c_source(NET, std="{0, 1, 1, 1}")}, {}, "expected numbers above 0"),
     (as_c, {"text": c_source(NET, std=STD).replace("s_fc1[6]", "s_fc1[7]")}, {}, "says 7"),
 ]
 

@@ -29,7 +29,7 @@ from quadjax.sil import run as sil
 from quadjax.sil.fly import set_floats
 from quadjax.sil.message import DTYPES, HEADER, RPM_PER_RAD_S, Kind, new
 from quadjax.sil.run import Setting, fly_all, make_world
-from quadjax.sil.source import at_rate, build
+from quadjax.sil.source import at_rate, build, label_of
 from tests.commands import run
 from tests.export.support import converted_in, made
 from tests.sil.support import Counting
@@ -143,6 +143,20 @@ def test_the_glue_is_called_at_its_own_rate_while_states_are_lost(tmp_path):
     library.sil_begin()
     command_of(library, 0.2, numbers)  # the first states of a race are lost
     assert sent[6] == 40 // 5 + 2
+
+
+@pytest.mark.slow
+def test_a_policy_of_earlier_steps_keeps_its_steps_at_another_rate(tmp_path):
+    converted = converted_in(tmp_path, *made("indi and more"), "cortex-m7")
+    library, sources = loaded(tmp_path, converted, 500.0)  # a step is five calls, without a glue
+    numbers = np.random.default_rng(3).uniform(-1, 1, (40, SIZE))
+    sent = np.array([command_of(library, n / 500.0, row) for n, row in enumerate(numbers)])
+    assert sources.startswith("made.qjp, c/{qj_check.c") and "glue" not in sources
+    np.testing.assert_array_equal(sent, np.repeat(sent[::5], 5, axis=0))
+    assert len(np.unique(sent, axis=0)) == 8
+    program, _ = build(converted, sources_of(converted, tmp_path / "odd"), 130.0)
+    with pytest.raises(InputError, match="no whole number of calls is a step of it, within 3%"):
+        label_of(program, converted)
 
 
 BAD = {

@@ -208,6 +208,19 @@ def test_from_above_the_drones_are_where_they_fly(open_scene):
             assert place @ ahead > 0.8 * np.linalg.norm(place) > 60
 
 
+def test_hostile_names_are_shown_as_text(open_scene):
+    name = "</script><script>window.hacked = 1</script><img src=x onerror='window.hacked = 1'>"
+    hostile = scene(
+        circle(name, crash=name, source={"note": name}), lap_times(name, [1.0]), title=name
+    )
+    with open_scene(hostile) as page:
+        page.still(6.0)
+        assert page.page.inner_text("h1") == name
+        assert name in page.page.inner_text("section table")
+        assert page.do("return window.hacked") is None
+        assert page.do("return document.images.length") == 0
+
+
 def test_a_notebook_shows_the_page_in_a_frame(browser, tmp_path):
     path = tmp_path / "notebook.html"
     path.write_text(f"<!doctype html><p>cell</p>{frame(RACE)}", encoding="utf-8")
