@@ -1,6 +1,7 @@
 """Whole runs: the same bits after a stop, a kill at any moment, and every shipped config."""
 
 import csv
+import shutil
 import threading
 import types
 from contextlib import contextmanager
@@ -13,8 +14,11 @@ import pytest
 from quadjax.config.assembly import make_params
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
+from quadjax.evaluation.evaluate import evaluate
+from quadjax.export.race_source import own_race
 from quadjax.learners import loop
 from quadjax.policy.file import Policy
+from quadjax.policy.race import race_of_policy
 from quadjax.training import run as training
 from quadjax.training.build import (
     initial_policy,
@@ -25,6 +29,7 @@ from quadjax.training.build import (
 )
 from tests.evaluation.support import random_policy
 from tests.surface.short import short_config
+from tests.training.test_folder import NAMED, write_files
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIGS = ROOT / "configs"
@@ -200,3 +205,24 @@ def test_every_shipped_config_has_a_program(name):
     (learner, _), params = make_learner(config), make_params(config)
     state = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
     jax.eval_shape(training.parallel.repeat(learner, 2), learner.hyper, params, state)
+
+
+@pytest.mark.slow
+def test_a_moved_run_is_resumed_evaluated_and_exported(tmp_path):
+    """Without the files that it was started with; its policy even without its folder."""
+    write_files(tmp_path / "files")
+    overrides = [f"{key}={tmp_path / 'files' / name}" for key, name in NAMED.items()]
+    config = config_of("e2e", *overrides, "network.activation=relu")
+    assert not training.train(config, tmp_path / "part", enough=at(256)).finished
+    shutil.rmtree(tmp_path / "files")
+    moved = (tmp_path / "part").rename(tmp_path / "moved")
+    resumed = training.train(load_config(moved / "config.yaml"), moved, resume=True)
+    assert resumed.finished
+    laps = evaluate(moved / "policy.npz", moved / "config.yaml", runs=1, deterministic=True)
+    assert laps.lap_times.shape == (1, 1) and len(laps.best.gates) == 2
+    alone = (moved / "policy.npz").rename(tmp_path / "alone.npz")
+    shutil.rmtree(moved)
+    policy = Policy.load(alone)
+    found, origin = race_of_policy(policy, alone)
+    race = own_race(found, policy, origin, alone.name)
+    assert race.params.vehicle.residual is not None and race.track == "mine"

@@ -1,5 +1,7 @@
 """The base of all configs: reading, composing, building and one-line errors."""
 
+import subprocess
+import sys
 from typing import Annotated, Literal
 
 import pytest
@@ -196,6 +198,11 @@ def test_describe_lists_every_key():
     assert found["count"].description == "a number of things" and found["count"].default == 3
     assert found["span.until"].allowed == "a number, above 0, at most 3"
     assert "span" not in found
+
+
+def test_config_imports_no_jax():
+    code = "import sys, quadjax.core.sections; sys.exit('jax' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
 def test_small_numbers_are_numbers_in_yaml_1_1_too():

@@ -1,5 +1,6 @@
 """E2E against INDI: rows, the lead on common flights, drawn plants, and the command."""
 
+import dataclasses
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +17,8 @@ from quadjax.evaluation.rows import Row, concatenate
 from quadjax.fitting.signals import first_order
 from quadjax.flights.flight import Flight, Signal
 from quadjax.plant.config import PlantConfig
+from quadjax.plant.flights import race_config
+from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
 from tests.commands import run
 
@@ -82,6 +85,14 @@ def test_the_table_of_plants_is_of_the_flights_that_both_finish():
     found = numbers["INDI"]["all effects"]
     assert found["mean"] == pytest.approx(14.4) and found["each plant"][1] is None
     assert (found["both finish"], found["finished"], found["runs"]) == (1, 4, 4)
+
+
+def test_commands_mean_what_the_policy_was_trained_with():
+    limits = load_config("indi", ["vehicle.constants.thrust_max=20"])
+    policy = Policy.load(PRETRAINED / "indi_shac.npz")
+    own = dataclasses.replace(policy, config=limits.model_dump(mode="json", by_alias=True))
+    found = race_config(load_config("e2e +residual"), own).vehicle
+    assert found.model == "rate" and found.constants["thrust_max"] == 20.0
 
 
 def test_drawn_plants_differ_in_their_constants_only():

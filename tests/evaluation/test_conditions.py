@@ -240,6 +240,12 @@ def test_more_drones_crash_with_larger_errors(tmp_path, capsys):
     assert [each["label"] for each in found] == ["±0%", "±10%", "±20%", "±30%"]
     assert found[0]["crashed"] < found[-1]["crashed"] <= 60
     assert 1.9 < found[0]["lap"] < 2.3
+    options = ["--study", "races", "--gates", "6", "--runs", "60", "--json", str(file)]
+    assert run("evaluate", "e2e +fastest", "--policy", "e2e_fastest", *options) == 0
+    found = json.loads(file.read_text())["flights"]
+    assert found[0]["finished"] > found[-1]["finished"]
+    assert 2.0 < found[0]["between"] < found[0]["time"] < 4.5
+    assert 5.0 < found[0]["highest_speed"] < 15.0 and found[0]["seconds_above"] is None
 
 
 @pytest.mark.slow

@@ -53,6 +53,28 @@ def test_the_trajectory_is_drawn_to_scale():
     assert colors(pixels(figure)) > 100
 
 
+def test_gates_have_numbers_and_heights_where_they_differ():
+    """Gates at one place share a label; on a level track there are no heights."""
+    lower = GateSection(position=(2.0, 0.0, -3.25), yaw_deg=270.0)
+    figure = trajectory_figure([circle()], [*GATES, lower])
+    above = [text.get_text() for text in figure.axes[0].texts]
+    assert above.count("1, 3") == above.count("1.5, 3.2 m") == above.count("1.5 m") == 1
+    assert {"1", "2", "3"} <= {text.get_text() for text in figure.axes[1].texts}
+    level = [text.get_text() for text in trajectory_figure([circle()], GATES).axes[0].texts]
+    assert {"1", "2"} <= set(level) and not any("m" in text for text in level)
+
+
+def test_a_legend_is_above_the_axes_and_a_still_flight_can_be_drawn():
+    figure = trajectory_figure([circle()], GATES, "title")
+    figure.canvas.draw()
+    legend = figure.axes[0].get_legend().get_window_extent()
+    top = figure.axes[0].get_window_extent().y1
+    assert top - 5 <= legend.y0 < legend.y1 < figure.bbox.y1
+    flight = circle(seconds=0.02)
+    still = flight.with_signals(velocity=0 * flight["velocity"])
+    assert colors(pixels(trajectory_figure([still], GATES))) > 10
+
+
 def test_tilted_and_round_gates_have_their_outline_from_both_sides():
     straight_down = GateSection(
         position=(2.0, 0.0, -1.5), pitch_deg=-90.0, shape="circle", size=(2.0, 2.0)

@@ -8,7 +8,8 @@ from PIL import Image
 
 from quadjax.config.loading import load_config
 from quadjax.core.resources import PRETRAINED
-from quadjax.evaluation.report import gap_figure, report_figures, response
+from quadjax.evaluation.figures import trajectory_figure
+from quadjax.evaluation.report import box_figure, gap_figure, report_figures, response
 from quadjax.evaluation.table import flights_table
 from quadjax.fitting.signals import first_order
 from quadjax.flights import Flight, save
@@ -90,6 +91,28 @@ def test_gaps_are_behind_the_first_of_the_flights_that_finish(groups):
     np.testing.assert_allclose(fastest, 0.0, atol=1e-9)
     assert slower[-1] == pytest.approx(0.4, abs=0.02) and np.all(np.diff(slower) > -0.02)
     assert "(s)" in axes.get_ylabel() and axes.get_legend() is None
+
+
+def test_trajectories_share_axes_and_one_color_scale(groups):
+    figure = trajectory_figure(groups, RACE.track.gates)
+    *panels, bar = figure.axes
+    scales = {tuple(np.round(c.get_clim(), 9)) for axes in panels for c in axes.collections}
+    assert len(scales) == 1 and "m/s" in bar.get_ylabel()
+    assert len({axes.get_xlim() for axes in panels}) == 1
+    titles = [axes.get_title("left") for axes in panels if axes.get_title("left")]
+    assert "5.60 s, 2 laps, fastest of 3" in titles[0] and len(titles) == 2
+
+
+def test_boxes_have_units_and_every_flight(groups):
+    panels = box_figure(groups).axes
+    assert [axes.get_xlabel() for axes in panels] == [
+        "lap 1 (s)",
+        "lap 2 (s)",
+        "total of 2 laps (s)",
+    ]
+    dots = [[len(line.get_xdata()) for line in a.lines if line.get_marker() == "o"] for a in panels]
+    assert panels[0].get_ylim()[0] > panels[0].get_ylim()[1]  # the first group is at the top
+    assert dots == [[3, 2], [3, 1], [3, 1]]
 
 
 def test_errors_are_to_the_first_order_response_of_the_commands(groups):

@@ -8,7 +8,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
 from quadjax.core.plotting import save_figure
 from quadjax.evaluation.conditions import read_conditions
-from quadjax.evaluation.curves import learning_figure, spread, training_figure
+from quadjax.evaluation.curves import COLORS, learning_figure, spread, training_figure
 from quadjax.evaluation.evaluate import Evaluation
 from quadjax.evaluation.rows import Row
 from quadjax.evaluation.training import COLUMNS, configs_of, evaluate_seed, format_seeds, train_once
@@ -104,6 +104,25 @@ def test_groups_are_drawn_and_published_times_next_to_their_race_only(tmp_path):
     assert wall.lines[1].get_xdata().tolist() == [25, 50, 75]
     assert wall.lines[0].get_color() == steps.lines[0].get_color() != wall.lines[1].get_color()
     save_figure(figure, tmp_path / "curves.png")
+
+
+def test_runs_that_never_finish_or_cannot_be_compared(tmp_path):
+    six, two = (
+        make_run(tmp_path / str(n), [np.inf, np.inf], overrides=[f"evaluate.laps={n}"])
+        for n in (6, 2)
+    )
+    axes = learning_figure({"two": [two]}).axes[0]
+    assert [text.get_text() for text in axes.texts] == ["no run completed its laps"]
+    assert "2 laps" in axes.get_ylabel()
+    with pytest.raises(InputError, match="six 6 laps, two 2 laps"):
+        learning_figure({"six": [six], "two": [two]})
+    write_text(two / "metrics.csv", "steps,lap_total\n1,2\n")
+    with pytest.raises(InputError, match="metrics.csv: no column seconds"):
+        learning_figure({"two": [two]})
+    with pytest.raises(InputError, match="no runs"):
+        learning_figure({"none": []})
+    with pytest.raises(InputError, match="allowed: 1 to"):
+        learning_figure({str(i): [six] for i in range(len(COLORS) + 1)})
 
 
 def test_training_curves_have_the_columns_of_a_metrics_file(tmp_path):

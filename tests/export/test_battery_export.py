@@ -16,7 +16,7 @@ from quadjax.export.battery import FINE_BITS, make_battery
 from quadjax.export.estimator_emulator import FINE, Battery, estimate_highest
 from quadjax.export.integers import quantize
 from quadjax.export.network import convert
-from quadjax.export.race_source import own_race
+from quadjax.export.race_source import check_race, own_race
 from quadjax.export.verify import measurements
 from quadjax.race import environment
 from quadjax.sil.message import RPM_PER_RAD_S
@@ -132,6 +132,15 @@ def test_motors_without_room_for_the_proof_are_refused():
     slow = constants().replace(tau=np.float32(2.0))
     with pytest.raises(InputError, match="sums may reach 2.*allowed: below 2.62; the motors"):
         make_battery(slow, 10000.0)
+
+
+def test_another_battery_is_another_race(tmp_path):
+    policy, _, _ = made()
+    with pytest.raises(InputError, match="battery is null, and policy observes highest_rpm; give"):
+        own_race(load_config("e2e"), policy, "e2e")
+    other = own_race(load_config("e2e", ["battery.charge=[0.5, 0.6]"]), policy, "config")
+    with pytest.raises(InputError, match="trained in another race.*: battery.*in training"):
+        check_race(policy, other, tmp_path / "policy.npz")
 
 
 def on_board(folder, rate):

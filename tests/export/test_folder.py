@@ -63,6 +63,8 @@ def test_all_checks_of_an_exported_folder(flown):
     check_all(results)
     assert [r.check for r in results] == ["files", *CHECKS]
     figures = {result.check: result.figure for result in results}
+    refused = run.verify(flown, COUNT, 8, only=("own flights",))[-1]  # of real flights
+    assert refused.verdict == FAILED and "0 of 32 flights finish 6 laps" in refused.figure
     assert "instructions" in figures["processor"] and "missed" in figures["simulator"]
 
 

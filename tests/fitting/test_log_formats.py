@@ -103,6 +103,43 @@ def test_constants_common_to_the_rotors_take_the_place_of_the_base_vehicle(short
         assert len(set(values)) == 1 and 0.6 < values[0] / mean < 1.4, name
 
 
+BAD = {
+    "a gap": (lambda c: {"time": c["time"] + 400_000 * (np.arange(len(c["time"])) > 99)}, "a gap"),
+    "gyro in rad/s": (
+        lambda c: {f"gyroADC[{i}]": c[f"gyroADC[{i}]"] / 57.3 for i in range(3)},
+        "times too large",
+    ),
+    "a turned accelerometer": (
+        lambda c: {"accSmooth[0]": -c["accSmooth[0]"], "accSmooth[1]": -c["accSmooth[1]"]},
+        "columns 'accSmooth[0]', 'accSmooth[1]' negated",
+    ),
+    "rotors in rpm": (
+        lambda c: {f"omega[{i}]": c[f"omega[{i}]"] * 9.5493 for i in range(4)},
+        "'omega[3]'",
+    ),
+    "swapped motors": (
+        lambda c: {"omega[0]": c["omega[1]"], "omega[1]": c["omega[0]"]},
+        "swapped",
+    ),
+    "swapped commands": (
+        lambda c: {"motor[0]": c["motor[1]"], "motor[1]": c["motor[0]"]},
+        "motor[",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_blackbox_columns_are_one_line(case, short, tmp_path):
+    change, word = BAD[case]
+    columns = racing_logs.blackbox_columns(short)
+    path = tmp_path / "bad.csv"
+    racing_logs.write_blackbox(path, columns | change(columns))
+    with pytest.raises(InputError) as caught:
+        read_log(path, LogsConfig(format="blackbox"))
+    message = str(caught.value)
+    assert "\n" not in message and str(path) in message and word in message
+
+
 def test_rows_are_counted_from_the_first_row_of_the_file(short, tmp_path):
     """Three rows of settings and the header precede the first sample, in row 5."""
     columns = racing_logs.blackbox_columns(short)

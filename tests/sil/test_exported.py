@@ -106,6 +106,7 @@ def test_lock_step_has_the_bits_of_the_same_c_in_this_process(make, tmp_path, mo
     expected = flown_in_this_process(converted, plant, tmp_path, len(rows))
     np.testing.assert_array_equal(rows, expected)
     assert set(race.counts) <= {"steps", "autopilot: clipped steps", "autopilot: outside steps"}
+    assert {"held steps", "late steps", "slow steps"} < set(sil.MEANINGS)
     assert ("its own estimator" in flown.autopilot) == (make is trained) and len(rows) > 20
     assert ("512 Hz" in flown.drone) == (make is trained) and "in the glue of" in flown.sources
     flown.write(tmp_path / "out")

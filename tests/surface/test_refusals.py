@@ -200,6 +200,7 @@ show new.yaml --write vehicle mass=0.6 wheelbase=0.2 propeller=0.1 'inertia=[0, 
 show new.yaml --write vehicle mass=0.6 wheelbase=0.2 propellor=0.1 | propellor propeller
 nosuch | nosuch train
 """.strip().splitlines()
+ROWS.append(f"export e2e --output out --name {'a' * 300} | identifier")
 
 
 @pytest.fixture(scope="module")
