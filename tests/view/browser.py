@@ -43,22 +43,20 @@ def wait_until(page, condition, seconds: float = 600.0):
 
 
 class Page:
-    """An open page, which collects what the console reports."""
+    """An open page, which collects its requests and what the console reports."""
 
     def __init__(self, page):
-        self.page, self.errors = page, []
+        self.page = page
+        self.errors: list[str] = []
+        self.requests: list[str] = []
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         page.on("console", self._console)
-        page.on("request", self._request)
-        self.requests: list[str] = []
+        page.on("request", lambda request: self.requests.append(request.url))
 
     def _console(self, message):
         # Chromium warns that reading the canvas back is slow in its software renderer.
         if message.type in ("error", "warning") and "GPU stall" not in message.text:
             self.errors.append(message.text)
-
-    def _request(self, request):
-        self.requests.append(request.url)
 
     def do(self, code: str):
         """The value of JavaScript code, with ``viewer`` the viewer of the page."""
