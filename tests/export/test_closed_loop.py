@@ -16,54 +16,35 @@ from quadjax.sil import run
 from quadjax.sil.faults import Faults
 from quadjax.sil.run import Setting, fly_all
 from tests.export.support import converted_in
-from tests.export.test_runtime import SANITIZERS
 
 RACER = Path(__file__).parent / "racer.npz"  # of the 5-inch drone: no rotor speeds, a history
-PLANT = load_plant_config("standin")
 PERIOD = 0.002  # s, of the plant's control loop
-FAULTS = {
-    "lockstep": Faults(),
-    "lost": Faults(drop=0.2),
-    "late by a period": Faults(late=0.2, delay=PERIOD),
-    "late by two": Faults(late=0.2, delay=2 * PERIOD),
-}
-GLUES = {  # policy, target, and whether it flies on the plant
-    "paparazzi": (PRETRAINED / "e2e_adaptive.npz", "cortex-a9", True),
-    "paparazzi, rates": (PRETRAINED / "indi_shac.npz", "cortex-a9", True),
-    "indiflight": (RACER, "indiflight", False),
-    "px4": (RACER, "px4", False),
-    "crazyflie": (RACER, "crazyflie", False),
+SANITIZERS = "-std=c99 -fsanitize=address,undefined -fno-sanitize-recover=all -g -O1".split()
+GLUES = {  # policy, target, whether it flies on the plant, and faults of its links
+    "paparazzi": (PRETRAINED / "e2e_adaptive.npz", "cortex-a9", True, Faults()),
+    "paparazzi, rates": (PRETRAINED / "indi_shac.npz", "cortex-a9", True, Faults(drop=0.2)),
+    "indiflight": (RACER, "indiflight", False, Faults(late=0.2, delay=5 * PERIOD)),
+    "px4": (RACER, "px4", False, Faults(late=0.2, delay=10 * PERIOD)),
+    "crazyflie": (RACER, "crazyflie", False, Faults(drop=0.2)),
 }
 
 
-def flown(name, folder, monkeypatch, faults):
-    """One lap in the glue of a target."""
-    path, target, on_plant = GLUES[name]
+@pytest.mark.slow
+@pytest.mark.parametrize("sanitized", [False, True])
+@pytest.mark.parametrize("name", GLUES)
+def test_a_whole_race_through_the_glue(name, sanitized, tmp_path, monkeypatch):
+    """One kind of faults for each glue; the races under sanitizers have every kind."""
+    path, target, on_plant, faults = GLUES[name]
+    if sanitized:
+        compiler = dataclasses.replace(autopilot.host(), flags=tuple(SANITIZERS))
+        monkeypatch.setattr(autopilot, "host", lambda: compiler)
+        faults = Faults(drop=0.1, late=0.1, delay=PERIOD if on_plant else 5 * PERIOD)
     policy = Policy.load(path)
     config, origin = race_of_policy(policy)
-    converted = converted_in(folder, policy, own_race(config, policy, origin), target, 512.0)
+    converted = converted_in(tmp_path, policy, own_race(config, policy, origin), target, 512.0)
     monkeypatch.setattr(run, "read_folder", lambda *_: converted)
-    if not on_plant and faults.late:  # the simulator's period is longer
-        faults = dataclasses.replace(faults, delay=5 * faults.delay)
-    setting = Setting(folder, PLANT if on_plant else None, laps=1, faults=faults)
-    found = fly_all(setting, threading.Event())
-    assert found.races[0].gone is None and found.laps.crashes == ("",), found.text()
-    assert ("its own estimator" in found.autopilot) == (name == "paparazzi")
-    assert "autopilot: nan steps" not in found.counts
-    return found
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name, faults", zip(GLUES, [*FAULTS, "lost"], strict=True))
-def test_a_whole_race_through_the_glue(name, faults, tmp_path, monkeypatch):
-    """One kind of faults for each glue; the races under sanitizers have both."""
-    found = flown(name, tmp_path, monkeypatch, FAULTS[faults])
-    assert "in the glue of" in found.sources
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", GLUES)
-def test_a_whole_race_under_sanitizers(name, tmp_path, monkeypatch):
-    compiler = dataclasses.replace(autopilot.host(), flags=tuple(SANITIZERS))
-    monkeypatch.setattr(autopilot, "host", lambda: compiler)
-    flown(name, tmp_path, monkeypatch, Faults(drop=0.1, late=0.1, delay=PERIOD))
+    plant = load_plant_config("standin") if on_plant else None
+    flown = fly_all(Setting(tmp_path, plant, laps=1, faults=faults), threading.Event())
+    assert flown.races[0].gone is None and flown.laps.crashes == ("",), flown.text()
+    assert ("its own estimator" in flown.autopilot) == (name == "paparazzi")
+    assert "autopilot: nan steps" not in flown.counts and "in the glue of" in flown.sources

@@ -14,15 +14,14 @@ from quadjax.vehicle.protocol import Measurement
 from quadjax.vehicle.rate import RateCommand
 from tests import reference as ref
 from tests.convert import constants
-from tests.export.support import made_policy
+from tests.export.support import made
 
 
-def exported(tmp_path, target, vehicle="rate"):
+def exported(folder, target, name="indi"):
     """The file of a made-up policy that is exported for a target, or None."""
-    made_policy(16, vehicle).save(tmp_path / "policy.npz")
-    options = {"allow_unfinished": True, "name": "made", "target": target}
-    export_c(tmp_path / "policy.npz", tmp_path / target, **options)
-    path = tmp_path / target / "inner_loop.yaml"
+    out, policy = folder / target, made(name)[0]
+    export_c(policy, out, name="made", target=target, allow_unfinished=True)
+    path = out / "inner_loop.yaml"
     return yaml.safe_load(path.read_text()) if path.exists() else None
 
 
@@ -38,17 +37,7 @@ def test_the_file_has_commands_units_limits_and_rates(no_flights, tmp_path):
     assert found["format"] == "quadjax-inner-loop/1" and found["autopilot"] == "Paparazzi"
     other = exported(tmp_path, "cortex-m7")
     assert all("scale" not in c for c in other["commands"]) and other["commands_hz"] is None
-    assert exported(tmp_path, "cortex-m4", "motor") is None
-
-
-@pytest.fixture
-def loops(no_flights, tmp_path):
-    """The file, the plant's inner loop, and the one of the file's airframe alone."""
-    found, gains = exported(tmp_path, "cortex-a9"), IndiConfig()
-    other = dict.fromkeys(ref.MOTOR, np.nan) | found["airframe"]  # nothing else is used
-    assert set(found["airframe"]) == {*EFFECTIVENESS, *RANGE}
-    pair = (ref.MOTOR, other)
-    return found, *(indi.indi_params(constants("motor", c), gains, 500.0) for c in pair)
+    assert exported(tmp_path, "cortex-m4", "e2e") is None
 
 
 def run(params, commands, rpm, rates, force):
@@ -56,8 +45,7 @@ def run(params, commands, rpm, rates, force):
     state, rows, thrusts = None, [], []
     for command, w, gyro, f in zip(commands, rpm, rates, force, strict=True):
         vectors = (Vec3(*map(jnp.float32, gyro)), Vec3(*map(jnp.float32, f)))
-        speeds = Rotors(*map(jnp.float32, w))
-        measured = Measurement(*vectors, speeds, Vec3.zero())
+        measured = Measurement(*vectors, Rotors(*map(jnp.float32, w)), Vec3.zero())
         state = indi.init(params, measured) if state is None else state
         p, q, r, thrust = map(jnp.float32, command)
         state, rotors = indi.update(params, state, measured, RateCommand(Vec3(p, q, r), thrust))
@@ -66,23 +54,30 @@ def run(params, commands, rpm, rates, force):
     return np.array(rows), np.array(thrusts)
 
 
+@pytest.fixture
+def loops(no_flights, tmp_path):
+    """The file, the plant's inner loop, and the one of the file's airframe alone."""
+    found = exported(tmp_path, "cortex-a9")
+    other = dict.fromkeys(ref.MOTOR, np.nan) | found["airframe"]  # nothing else is used
+    assert set(found["airframe"]) == {*EFFECTIVENESS, *RANGE}
+    airframes = (constants("motor", values) for values in (ref.MOTOR, other))
+    return found, *(indi.indi_params(airframe, IndiConfig(), 500.0) for airframe in airframes)
+
+
 def test_the_plants_inner_loop_flies_by_the_file(loops):
-    found, plant, own = loops
-    rng, low, high = (
-        np.random.default_rng(0),
-        *(np.array([c[end] for c in found["commands"]]) for end in ("low", "high")),
-    )
+    found, plant, of_file = loops
+    rng = np.random.default_rng(0)
+    low, high = ([c[end] for c in found["commands"]] for end in ("low", "high"))
     commands = rng.uniform(low, high, (12, 4))
     rpm, rates = rng.uniform(6000, 9000, (12, 4)), rng.uniform(-2, 2, (12, 3))
     force = np.column_stack([rng.uniform(-1, 1, (12, 2)), -rng.uniform(5, 14, 12)])
     wanted, thrust = run(plant, commands, rpm, rates, force)
-    np.testing.assert_array_equal(run(own, commands, rpm, rates, force)[0], wanted)
-    scale = np.array([c.get("scale", np.inf) for c in found["commands"]])
-    integers = np.where(np.isfinite(scale), np.round(commands * np.minimum(scale, 1e9)), 0.0)
-    handed = np.where(np.isfinite(scale), integers / scale, commands)
-    assert np.abs(handed - commands).max() <= 0.5 / 4096
-    assert np.abs(run(own, handed, rpm, rates, force)[0] - wanted).max() < 30.0
+    np.testing.assert_array_equal(run(of_file, commands, rpm, rates, force)[0], wanted)
     assert np.all(np.isfinite(thrust))
+    scale = found["commands"][0]["scale"]
+    handed = np.column_stack([np.round(commands[:, :3] * scale) / scale, commands[:, 3]])
+    assert 0 < np.abs(handed - commands).max() <= 0.5 / 4096
+    assert np.abs(run(of_file, handed, rpm, rates, force)[0] - wanted).max() < 30.0
 
 
 def test_the_throttle_is_the_steady_state_of_the_plants_loop(loops):

@@ -16,25 +16,25 @@ from quadjax.export.read import read_qjp, unpack
 from quadjax.export.verify import run
 from quadjax.export.verify.result import PASSED
 from quadjax.export.words import SAMPLED_VERSION, STRUCTS, VERSION, pack
-from tests.export.support import fixed_policy, library, made_policy, observations, own_race
-from tests.export.test_runtime import edited, load, runtime_of
+from tests.export.support import fixed, library, made, observations
+from tests.export.words import edited, load, runtime_of
 
 UNIT = 2**16
 STD = np.array([0.3, 0.5, 0.05, 1.0])
 SAMPLED = "-DQJ_SAMPLED=1"
 
 
-def made(vehicle="motor", noise_on="mean"):
+def sampling(name="e2e", noise_on="mean"):
     """A policy, and the same as integers with its noise."""
     changes = {"log_std": np.log(STD).astype(np.float32), "noise_on": noise_on}
-    policy = dataclasses.replace(made_policy(16, vehicle), **changes)
-    fixed = fixed_policy(policy, own_race(policy))
-    return policy, dataclasses.replace(fixed, noise=make_noise(policy, fixed.network))
+    policy = dataclasses.replace(made(name, (16,))[0], **changes)
+    mean = fixed(name, (16,))
+    return policy, dataclasses.replace(mean, noise=make_noise(policy, mean.network))
 
 
 def by_hand(counter, count):
-    """Numbers of the generator in Python's own integers."""
-    found = []
+    """Numbers of the generator in Python's own integers, and its counter after them."""
+    numbers = []
     for _ in range(count):
         total = 0
         for _ in range(6):
@@ -44,8 +44,8 @@ def by_hand(counter, count):
                 x = (x ^ x >> shift) * factor % 2**32
             x ^= x >> 16
             total += x % 2**16 + x // 2**16
-        found.append(total - 12 * (2**16 - 1) // 2)
-    return found, counter
+        numbers.append(total - 12 * (2**16 - 1) // 2)
+    return numbers, counter
 
 
 def test_the_generator_is_the_one_by_hand():
@@ -70,10 +70,10 @@ def test_the_noise_is_normal_and_white():
 
 
 @pytest.mark.parametrize("noise_on", ["mean", "clipped_mean"])
-@pytest.mark.parametrize("vehicle", ["motor", "rate"])
-def test_commands_are_distributed_as_those_of_the_float_policy(vehicle, noise_on):
-    policy, fixed = made(vehicle, noise_on)
-    network, rng, count = fixed.network, np.random.default_rng(0), 20_000
+@pytest.mark.parametrize("name", ["e2e", "indi"])
+def test_commands_are_distributed_as_those_of_the_float_policy(name, noise_on):
+    policy, integers = sampling(name, noise_on)
+    network, rng, count = integers.network, np.random.default_rng(0), 20_000
     low, high = policy.command_low, policy.command_high
     half, ends = 0.5 * (high - low), 0
     for number, size in enumerate((0.02, 0.1, 0.3, 0.9)):
@@ -84,7 +84,7 @@ def test_commands_are_distributed_as_those_of_the_float_policy(vehicle, noise_on
         y = np.clip(y, -1.0, 1.0) if noise_on == "clipped_mean" else y
         y = np.clip(y + STD * rng.standard_normal((count, 4)), -1.0, 1.0)
         q = quantize(np.tile(x, (count, 1)), network.box.exponents)
-        found = sample(network, fixed.noise, q, 1000 * number) / 2.0**network.fraction_bits
+        found = sample(network, integers.noise, q, 1000 * number) / 2.0**network.fraction_bits
         found = (found - low) / half - 1.0
         assert np.abs(found).max() <= 1.0 + 1e-6
         assert np.abs(found.mean(axis=0) - y.mean(axis=0)).max() < 0.03
@@ -95,66 +95,56 @@ def test_commands_are_distributed_as_those_of_the_float_policy(vehicle, noise_on
     assert ends > 2  # in some cases the clipping matters
 
 
-@pytest.mark.parametrize("case", [("motor", "mean"), ("rate", "clipped_mean")])
+@pytest.mark.parametrize("case", [("e2e", "mean"), ("indi", "clipped_mean")])
 def test_the_c_has_the_bits_of_numpy(case, tmp_path):
-    _, fixed = made(*case)
-    network, counter = fixed.network, 2**32 - 1000
+    _, policy = sampling(*case)
+    network, counter = policy.network, 2**32 - 1000
     q = quantize(observations(network, 2000), network.box.exponents).astype(np.int32)
     bits = np.random.default_rng(0).integers(-(2**31), 2**31, (500, network.inputs), np.int32)
-    q, c = np.concatenate([q, bits]), library(fixed, tmp_path)
-    np.testing.assert_array_equal(c.sample(q, counter), sample(network, fixed.noise, q, counter))
+    q, c = np.concatenate([q, bits]), library(policy, tmp_path)
+    np.testing.assert_array_equal(c.sample(q, counter), sample(network, policy.noise, q, counter))
     mean = forward_traced(network, q)[0]
     np.testing.assert_array_equal(c.forward(q)[:, :4], mean)
-    silent = dataclasses.replace(fixed.noise, factors=(0,) * 4)
+    silent = dataclasses.replace(policy.noise, factors=(0,) * 4)
     np.testing.assert_array_equal(sample(network, silent, q, 5), mean)
 
 
-CHANGES = {
-    "another step": ("qj_network.c", "0x9E3779B9", "0x9E3779BB"),
-    "another factor": ("qj_network.c", "0x846CA68B", "0x846CA68D"),
-    "another shift": ("qj_network.c", "x >> 15", "x >> 14"),
-    "a half less": ("qj_network.c", "i < 6U; ++i", "i < 5U; ++i"),
-    "no rounding": (
-        "qj_network.c",
-        "qj_round_shift((int64_t)sum * factor, 16)",
-        "((int64_t)sum * factor >> 16)",
-    ),
-    "one factor": ("qj_network.c", "QJ_NOISE_FACTOR + i % QJ_COMMANDS", "QJ_NOISE_FACTOR"),
-}
-
-
 def test_the_loader_checks_the_noise(tmp_path):
-    _, fixed = made()
-    words, mean = pack(fixed), pack(dataclasses.replace(fixed, noise=None))
+    _, policy = sampling()
+    words, mean = pack(policy), pack(dataclasses.replace(policy, noise=None))
     assert len(words) == len(mean) + STRUCTS["noise"].itemsize
-    assert unpack(words).noise == fixed.noise
-    assert np.frombuffer(mean, "<i4")[1] == VERSION != SAMPLED_VERSION == fixed.version
+    assert unpack(words).noise == policy.noise
+    assert np.frombuffer(mean, "<i4")[1] == VERSION != SAMPLED_VERSION == policy.version
     right, plain = runtime_of(tmp_path / "right", None, SAMPLED), runtime_of(tmp_path / "plain")
     assert load(right, words) == load(right, mean) == load(plain, mean) == 0
     assert load(plain, words) == 3  # of another version: it could not sample
-    at = words.index(np.array(fixed.noise.factors, "<i4").tobytes()) // 4
+    at = words.index(np.array(policy.noise.factors, "<i4").tobytes()) // 4
     for change, error in (({at: -1}, 11), ({at + 1: 5}, 13), ({at + 4: 5}, 11), ({at + 5: 5}, 13)):
         assert load(right, edited(words, change)) == error
         with pytest.raises(InputError):
             unpack(edited(words, change))
 
 
+CHANGES = {  # in qj_network.c
+    "0x9E3779B9": "0x9E3779BB",
+    "0x846CA68B": "0x846CA68D",
+    "x >> 15": "x >> 14",
+    "i < 6U; ++i": "i < 5U; ++i",
+    "qj_round_shift((int64_t)sum * factor, 16)": "((int64_t)sum * factor >> 16)",
+    "QJ_NOISE_FACTOR + i % QJ_COMMANDS": "QJ_NOISE_FACTOR",
+}
+
+
 @pytest.mark.slow
 def test_the_self_test_sees_a_change_of_the_noise(tmp_path):
-    words = pack(made()[1])
-    for name, change in CHANGES.items():
-        assert load(runtime_of(tmp_path / name, change, SAMPLED), words) == 13, name
-
-
-def test_too_much_noise_is_refused():
-    policy, fixed = made()
-    wide = dataclasses.replace(policy, log_std=np.full(4, 20.0, np.float32))
-    with pytest.raises(InputError, match="log_std 0: a standard deviation of .* allowed: 0 to"):
-        make_noise(wide, fixed.network)
+    words = pack(sampling()[1])
+    for number, (old, new) in enumerate(CHANGES.items()):
+        changed = runtime_of(tmp_path / str(number), ("qj_network.c", old, new), SAMPLED)
+        assert load(changed, words) == 13, old
 
 
 def test_an_export_samples_only_if_asked(no_flights, tmp_path):
-    made_policy(16, "rate").save(tmp_path / "policy.npz")
+    made("indi")[0].save(tmp_path / "policy.npz")
     files = {}
     for sampled in (False, True):
         out = tmp_path / f"{sampled}"
@@ -163,7 +153,7 @@ def test_an_export_samples_only_if_asked(no_flights, tmp_path):
         files[sampled] = result.converted.files()
         assert (read_qjp(out / "made.qjp").noise is not None) == sampled
         assert json.loads((out / "made_report.json").read_text())["deterministic"] is not sampled
-        assert ("Sampled: noise of standard deviation 3, 3, 3, 7.5" in result.text) == sampled
+        assert ("Sampled: noise of standard deviation" in result.text) == sampled
         assert (b"QJ_SAMPLED" in files[sampled]["paparazzi/qj_sizes.h"]) == sampled
         assert (b"; sampled actions" in files[sampled]["paparazzi/made.h"]) == sampled
         results = run.verify(out, 400, only=("NumPy = C",))

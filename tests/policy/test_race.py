@@ -14,27 +14,17 @@ from quadjax.export import convert, race_source
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 from tests.commands import run
-from tests.export.support import made_policy
-
-PRESETS = {  # of the shipped policies
-    "e2e": "e2e +residual",
-    "e2e_adaptive": "e2e +residual +disturbance",
-    "e2e_fastest": "e2e +fastest",
-    "e2e_nominal": "e2e",
-    "indi": "indi +fastest",
-    "indi_shac": "indi",
-}
+from tests.export.support import made
+from tests.frozen.parts import RACES
 
 
 @pytest.fixture
 def races(monkeypatch):
     """The configs of the races that commands are about to fly; they stop there."""
-    found = []
+    seen = []
 
     def stop(*arguments, **_):
-        found.extend(
-            each for each in arguments if hasattr(each, "vehicle") and hasattr(each, "run")
-        )
+        seen.extend(x for x in arguments if hasattr(x, "vehicle") and hasattr(x, "run"))
         raise InputError("stopped")
 
     for module, name in (
@@ -44,58 +34,64 @@ def races(monkeypatch):
         (race_source, "own_race"),
     ):
         monkeypatch.setattr(module, name, stop)
-    return found
+    return seen
 
 
 def commands(path, folder):
+    """Commands of a policy file, and the words that name a race for it."""
     return (
-        ("view", path, "--output", folder / "out.html"),
-        ("evaluate", "--policy", path),
-        ("export", path, "--output", folder / "c"),
-        ("replay", folder / "log.csv", "--policy", path),
+        (("view", path, "--output", folder / "out.html"), ("--race", "e2e")),
+        (("evaluate", "--policy", path), ("e2e",)),
+        (("export", path, "--output", folder / "c"), ("--race", "e2e")),
+        (("replay", folder / "log.csv", "--policy", path), ("--race", "e2e")),
     )
 
 
-def imported(folder):
-    """A policy file as of the published C arrays, converted by an earlier version."""
-    policy = dataclasses.replace(made_policy(8), source={"config": "authors_code_seed1"})
-    policy.save(folder / "published.npz")
-    return folder / "published.npz"
+@pytest.fixture(scope="module")
+def policy():
+    return made("e2e")[0]
 
 
-@pytest.mark.parametrize("name", [*PRESETS, "published"])
-def test_every_command_flies_the_same_race(name, races, tmp_path, capsys):
-    assert set(PRESETS) == set(policy_names())
-    path = imported(tmp_path) if name == "published" else PRETRAINED / f"{name}.npz"
-    for command in commands(path, tmp_path):
-        assert run(*command) == 2
+def without_config(policy, folder, **source):
+    """A policy file that contains no config, only where it is from."""
+    path = folder / "alone.npz"
+    dataclasses.replace(policy, config=None, source=source).save(path)
+    return path
+
+
+@pytest.mark.parametrize("name", [*RACES, "published"])
+def test_every_command_flies_the_same_race(name, policy, races, tmp_path, capsys):
+    assert set(RACES) == set(policy_names())
+    path = PRETRAINED / f"{name}.npz"
+    if name == "published":  # its C arrays, imported by an earlier version
+        path = without_config(policy, tmp_path, config="authors_code_seed1")
+    for words, _ in commands(path, tmp_path):
+        assert run(*words) == 2
         assert "error: stopped" in capsys.readouterr().err
     assert len(races) == 4 and all(race == races[0] for race in races)
-    preset = load_config(PRESETS.get(name, "e2e_paper +authors_code"))
+    preset = load_config(RACES.get(name, "e2e_paper +authors_code"))
     residual = Policy.load(path).source.get("residual", preset.vehicle.residual)
     assert races[0].track.gates == preset.track.gates and races[0].rules == preset.rules
     assert Path(races[0].vehicle.residual or "").name == (residual or "")
 
 
-def test_a_file_without_a_race_is_refused_by_every_command(races, tmp_path, capsys):
-    path = tmp_path / "alone.npz"
-    dataclasses.replace(made_policy(8), source={"made": "up"}).save(path)
+def test_a_file_without_a_race_is_refused_by_every_command(policy, races, tmp_path, capsys):
+    path = without_config(policy, tmp_path, made="up")
     (tmp_path / "config.yaml").write_text("base: e2e\n")
-    for command in commands(path, tmp_path):
-        assert run(*command) == 2
+    for words, race in commands(path, tmp_path):
+        assert run(*words) == 2
         error = " ".join(capsys.readouterr().err.split())
         assert "alone.npz: contains no config and names no preset, name the config" in error
-        option = "quadjax evaluate CONFIG" if command[0] == "evaluate" else "--race CONFIG"
+        option = "quadjax evaluate CONFIG" if words[0] == "evaluate" else "--race CONFIG"
         assert f"({option})" in error
-        config = ["e2e"] if command[0] == "evaluate" else ["--race", "e2e"]
-        assert run(*command, *config) == 2
+        assert run(*words, *race) == 2
         assert "error: stopped" in capsys.readouterr().err
     assert len(races) == 4 and all(race == load_config("e2e") for race in races)
     with pytest.raises(InputError, match=r"name the config of its race \(config=CONFIG\)"):
         convert.export_c(path, tmp_path / "c")
 
 
-def test_a_named_config_comes_first(tmp_path):
+def test_a_named_config_comes_first():
     policy = Policy.load("e2e_adaptive")
     assert race_of_policy(policy)[0].name == "e2e_adaptive"
     assert race_of_policy(policy, config="e2e")[0] == load_config("e2e")

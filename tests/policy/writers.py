@@ -105,6 +105,39 @@ def c_source(arrays: Mapping[str, np.ndarray], prefix="", std="", flat=True, bod
     return "\n".join([*lines, f"void f() {{ {prefix}{body} }}"])
 
 
+AUTHORS_FILES = {  # sizes of the layers, and the beginning of the names in C
+    "E2Enet/neural_network.c": ((24, 8, 4), ""),
+    "c_code/neural_network.c": ((17, 8, 4), ""),
+    "nn_thrust.c": ((7, 8, 1), "nn_thrust_"),
+    "nn_moment.c": ((10, 8, 3), "nn_moment_"),
+}
+CONTROLLER = """#include "nn_controller.h"
+const float output_std[4] = {
+    0.1,
+    0.2, // of the second
+    0.3,
+    0.4,
+};
+const float gate_pos[NUM_GATES][3] = { {2.0, -1.5, -1.5}, };
+void nn_control(const float world_state[16], float rpms[4]) {
+    float pos[3] = {world_state[0], world_state[1], world_state[2]};
+}
+"""
+
+
+def write_authors_files() -> list[dict[str, np.ndarray]]:
+    """C as the authors of the paper publish it, in the current folder; the arrays of each file."""
+    networks = []
+    for name, (sizes, prefix) in AUTHORS_FILES.items():
+        file = Path(name)
+        file.parent.mkdir(exist_ok=True)
+        networks.append(linear(sizes))
+        file.write_text(c_source(networks[-1], prefix))
+        if not prefix:
+            file.with_name("nn_controller.c").write_text(CONTROLLER)
+    return networks
+
+
 def forward(arrays: Mapping[str, np.ndarray], x: np.ndarray, names="02", activation=np.tanh):
     """The output of a network in NumPy, from its PyTorch arrays."""
     for index, name in enumerate(names):

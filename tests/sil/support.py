@@ -14,6 +14,7 @@ from quadjax.sil.worlds import Now
 from quadjax.vehicle import rate
 
 STEPS = 40
+RATES = CommandKind.RATES_RAD_S_AND_THRUST_M_S2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,49 +45,44 @@ class Counting:
         return Laps(laps, ("" if done else "out of time",), np.array([now.state * self.step]), 10.0)
 
 
-def answer(state):
-    """Rates that tell the step, and a thrust."""
+def answer(state, **changes):
+    """Rates that tell the step, and a thrust; fields of the message may be changed."""
     command = new(Kind.COMMAND, int(state["run"]), int(state["sequence"]), float(state["time_s"]))
-    command["command_kind"] = CommandKind.RATES_RAD_S_AND_THRUST_M_S2
+    command["command_kind"] = RATES
     command["command"] = [float(state["sequence"]) / 100.0, 0.0, 0.0, 9.0]
-    return command
+    for name, value in changes.items():
+        command[name] = value
+    return pack(command)
 
 
-def hello(kind=CommandKind.RATES_RAD_S_AND_THRUST_M_S2, mismatches=0):
+def hello(kind=RATES, mismatches=0):
     message = new(Kind.HELLO)
     message["command_kind"], message["self_test_mismatches"] = kind, mismatches
-    return message
+    return pack(message)
 
 
-def autopilot(port, reply, first=None):
-    """Answer states by ``reply(state) -> messages`` until the end, or until it returns None."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
-        own.settimeout(20.0)
-        own.connect((ADDRESS, port))
-        own.send(pack(hello()) if first is None else first)
-        with contextlib.suppress(OSError):
-            while True:
-                try:
-                    state = unpack(own.recv(4096))
-                except MessageError:
-                    continue
-                replies = reply(state) if state["kind"] == Kind.STATE else None
-                if replies is None:
+def autopilot(port, reply, first):
+    """Answer states by ``reply(state) -> messages`` until the end."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link, contextlib.suppress(OSError):
+        link.settimeout(20.0)
+        link.connect((ADDRESS, port))
+        link.send(first)
+        while True:
+            with contextlib.suppress(MessageError):
+                state = unpack(link.recv(4096))
+                if state["kind"] != Kind.STATE:
                     return
-                for data in replies:
-                    own.send(data)
+                for data in reply(state):
+                    link.send(data)
 
 
 @contextlib.contextmanager
-def connected(reply, first=None, stop=None):
+def connected(reply, first, stop):
     """A peer whose autopilot runs in a thread."""
-    stop = stop or threading.Event()
-    with listening(ADDRESS, 0) as own:
-        thread = threading.Thread(
-            target=autopilot, args=(own.getsockname()[1], reply, first), daemon=True
-        )
+    with listening(ADDRESS, 0) as link:
+        address = link.getsockname()[1]
+        thread = threading.Thread(target=autopilot, args=(address, reply, first), daemon=True)
         thread.start()
-        kind = CommandKind.RATES_RAD_S_AND_THRUST_M_S2
-        with greeted(own, kind, 20.0, stop) as peer:
+        with greeted(link, RATES, 20.0, stop) as peer:
             yield peer
         thread.join(20.0)

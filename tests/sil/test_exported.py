@@ -15,11 +15,10 @@ import pytest
 
 from quadjax.cli import sil as command
 from quadjax.core.errors import InputError
-from quadjax.core.files import write_json
 from quadjax.core.resources import PRETRAINED
 from quadjax.export.race_source import own_race
 from quadjax.export.verify import toolchain
-from quadjax.export.verify.build import Sources
+from quadjax.export.verify.build import Sources, pointers
 from quadjax.flights import load
 from quadjax.flights.flight import SIMULATED
 from quadjax.plant.config import load_plant_config
@@ -34,20 +33,18 @@ from tests.commands import run
 from tests.export.support import converted_in, made
 from tests.sil.support import Counting
 
-PLANT = load_plant_config("standin")
-STEPS = 150
 SIZE = (DTYPES[Kind.STATE].itemsize - HEADER.itemsize) // 4 - 2  # floats of a state
 
 
-def trained(folder):
+def on_the_plant(folder):
     """A shipped policy on the stand-in plant, with its own estimator."""
     policy = Policy.load(PRETRAINED / "e2e_adaptive.npz")
     config, origin = race_of_policy(policy)
-    own = own_race(config, policy, origin)
-    return converted_in(folder, policy, own, "cortex-a9", 512.0), PLANT
+    race = own_race(config, policy, origin)
+    return converted_in(folder, policy, race, "cortex-a9", 512.0), load_plant_config("standin")
 
 
-def untrained(folder):
+def in_the_simulator(folder):
     """A policy of the 5-inch drone in its simulator, through INDIflight's interface."""
     return converted_in(folder, *made("published racing"), "indiflight"), None
 
@@ -70,7 +67,7 @@ def command_of(library, time_s, numbers):
     """The command (4,) for the floats of a state."""
     state, command = new(Kind.STATE, time_s=time_s), new(Kind.COMMAND)
     set_floats(state, np.float32(numbers))
-    library.sil_step(*(x.ctypes.data_as(ctypes.c_void_p) for x in (state, command)))
+    library.sil_step(*pointers(state, command))
     return command["command"].copy()
 
 
@@ -89,17 +86,24 @@ def flown_in_this_process(converted, plant, folder, steps):
     return np.array(rows)
 
 
-def short(world):
-    """The same world with a time limit of a few steps."""
-    return dataclasses.replace(world, limit=min(STEPS, world.limit))
+@pytest.fixture
+def short_races(monkeypatch):
+    """Races end after 150 steps."""
+
+    def short(*arguments):
+        world = make_world(*arguments)
+        return dataclasses.replace(world, limit=min(150, world.limit))
+
+    monkeypatch.setattr(sil, "make_world", short)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make", [trained, untrained])
-def test_lock_step_has_the_bits_of_the_same_c_in_this_process(make, tmp_path, monkeypatch):
+@pytest.mark.parametrize("make", [on_the_plant, in_the_simulator])
+def test_lock_step_has_the_bits_of_the_same_c_in_this_process(
+    make, tmp_path, monkeypatch, short_races
+):
     converted, plant = make(tmp_path)
     monkeypatch.setattr(sil, "read_folder", lambda *_: converted)
-    monkeypatch.setattr(sil, "make_world", lambda *arguments: short(make_world(*arguments)))
     flown = fly_all(Setting(tmp_path, plant, laps=1), threading.Event())
     race = flown.races[0]
     rows = np.concatenate([race.flight[name] for name in SIMULATED], axis=1)
@@ -107,43 +111,40 @@ def test_lock_step_has_the_bits_of_the_same_c_in_this_process(make, tmp_path, mo
     np.testing.assert_array_equal(rows, expected)
     assert set(race.counts) <= {"steps", "autopilot: clipped steps", "autopilot: outside steps"}
     assert {"held steps", "late steps", "slow steps"} < set(sil.MEANINGS)
-    assert ("its own estimator" in flown.autopilot) == (make is trained) and len(rows) > 20
-    assert ("512 Hz" in flown.drone) == (make is trained) and "in the glue of" in flown.sources
+    of_plant = make is on_the_plant
+    assert ("its own estimator" in flown.autopilot) == of_plant and len(rows) > 20
+    assert ("512 Hz" in flown.drone) == of_plant and "in the glue of" in flown.sources
     flown.write(tmp_path / "out")
     (flight,) = load(tmp_path / "out" / "states.npz")
     np.testing.assert_array_equal(flight["position"], race.flight["position"])
     assert flight.source["vehicle"] == converted.policy.vehicle and len(flight.gates) > 2
     numbers = json.loads((tmp_path / "out" / "sil.json").read_text())
     assert numbers["runs"] == 1 and numbers["counts"]["steps"] == len(rows)
-    page = tmp_path / "page.npz"
-    assert run("view", tmp_path / "out" / "states.npz", "--output", page) == 0
-    assert len(load(page)) == 1
 
 
 @pytest.mark.slow
-def test_a_shipped_policy_flies_with_one_command(tmp_path, monkeypatch, capsys):
+def test_a_shipped_policy_flies_with_one_command(tmp_path, monkeypatch, capsys, short_races):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sil, "make_world", lambda *arguments: short(make_world(*arguments)))
     assert run("sil", "indi_shac", "--laps", 1) == 0
     printed = capsys.readouterr().out
     assert "C that flies: indi_shac.qjp, paparazzi/" in printed and "glue of Paparazzi" in printed
     following = "Next: quadjax view runs/sil/states.npz\nThen: quadjax export indi_shac --target "
     assert following in printed
-    assert run("sil", "indi_shac", "--target", "px4", "--name", "other") == 2
+    assert run("view", "runs/sil/states.npz", "--output", "page.npz") == 0
+    assert len(load(tmp_path / "page.npz")) == 1
 
 
 def test_the_glue_is_called_at_its_own_rate_while_states_are_lost(tmp_path):
     converted = converted_in(tmp_path, *made("indi and more"), "cortex-a9")
     library, _ = loaded(tmp_path, converted, 500.0)
-    sent = (ctypes.c_float * 15).in_dll(library, "paparazzi_sent")
-    numbers, came = np.random.default_rng(0).uniform(-1, 1, SIZE), 0
+    steps = (ctypes.c_float * 15).in_dll(library, "paparazzi_sent")
+    numbers = np.random.default_rng(0).uniform(-1, 1, SIZE)
     for state in (0, 1, 2, 3, 4, 5, 9, 10, 24, 25, 40):  # of 500 Hz; a step is five calls
         command_of(library, state / 500.0, numbers)
-        assert sent[6] == state // 5 + 1, state
-        came += 1
+        assert steps[6] == state // 5 + 1, state
     library.sil_begin()
     command_of(library, 0.2, numbers)  # the first states of a race are lost
-    assert sent[6] == 40 // 5 + 2
+    assert steps[6] == 40 // 5 + 2
 
 
 @pytest.mark.slow
@@ -155,62 +156,62 @@ def test_a_policy_of_earlier_steps_keeps_its_steps_at_another_rate(tmp_path):
     assert sources.startswith("made.qjp, c/{qj_check.c") and "glue" not in sources
     np.testing.assert_array_equal(sent, np.repeat(sent[::5], 5, axis=0))
     assert len(np.unique(sent, axis=0)) == 8
-    program, _ = build(converted, sources_of(converted, tmp_path / "odd"), 130.0)
-    with pytest.raises(InputError, match="no whole number of calls is a step of it, within 3%"):
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "rate", "words"),
+    [
+        ("indi and more", 130.0, "no whole number of calls is a step of it, within 3%"),
+        ("battery", 100.0, "cannot fly here: .*the highest rpm is for another rate"),
+    ],
+)
+def test_c_for_another_rate_is_refused(name, rate, words, tmp_path):
+    converted = converted_in(tmp_path, *made(name), "cortex-m7", 512.0)
+    program, _ = build(converted, sources_of(converted, tmp_path), rate)
+    with pytest.raises(InputError, match=words):
         label_of(program, converted)
 
 
-BAD = {
-    "none": "none: neither a folder of quadjax export nor a policy, allowed also: e2e",
-    "made/made.qjp": "made: expected one *_report.json",
-    ".": "expected one *_report.json",
-    "no_c": "expected one *_report.json",
-    "exported --target px4": "--target has no effect with the folder of an export",
-}
-
-
-def test_a_folder_of_another_kind_is_one_line(tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
-    for folder in ("no_c", "made", "exported"):
-        (tmp_path / folder).mkdir()
-    for folder in ("made", "exported"):
-        write_json(tmp_path / folder / ".quadjax.json", {"kind": "export"})
-    for name in ("made/made.qjp", "exported/x_report.json", "exported/policy.npz"):
-        (tmp_path / name).write_bytes(b"")
-    (tmp_path / "exported/config.yaml").touch()
-    for words, expected in BAD.items():
-        assert run("sil", *words.split()) == 2
-        lines = capfd.readouterr().err.strip().splitlines()
-        assert expected in lines[-1] and lines[-1].startswith("error: ")
-        assert not (tmp_path / "runs").exists()
-
-
-WRONG_NAMES = {  # of export, verify and sil
+REFUSED = {  # commands of export, verify and sil
     ("export", "", "--output", "c"): "'', allowed: a policy file",
     ("export", "none.npz", "--output", "c"): "none.npz: no such file",
-    ("export", "indi", "--output", ""): "'', allowed: the name of a folder",
     ("export", "indi", "--output", "c", "--name", "_x"): "identifier",
     ("verify", ""): "'', allowed: the name of a folder",
     ("verify", "none"): "none: no such folder of quadjax export",
     ("verify", "none.qjp"): "none.qjp: no such file",
     ("verify", "."): "expected one *_report.json",
     ("sil", ""): "'', allowed: the name of a folder",
-    ("sil", "none"): "none: neither a folder of quadjax export nor a policy",
+    ("sil", "none"): "none: neither a folder of quadjax export nor a policy, allowed also: e2e",
+    ("sil", "exported/made.qjp"): "exported: expected one *_report.json",
+    ("sil", "."): "expected one *_report.json",
 }
 
 
 def test_wrong_names_are_refused_before_jax_is_imported(tmp_path):
+    (tmp_path / "exported").mkdir()
+    for name, text in ((".quadjax.json", '{"kind": "export"}'), ("made.qjp", "")):
+        (tmp_path / "exported" / name).write_text(text)
     code = (
         "import sys\nfrom quadjax.cli import run\n"
-        f"statuses = [run(list(words)) for words in {list(WRONG_NAMES)}]\n"
+        f"statuses = [run(list(words)) for words in {list(REFUSED)}]\n"
         "print(set(statuses), 'jax' in sys.modules)"
     )
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    program = [sys.executable, "-c", code]
+    done = subprocess.run(program, cwd=tmp_path, capture_output=True, text=True)
     assert done.stdout.strip() == "{2} False", done.stderr
     lines = done.stderr.strip().splitlines()
-    assert len(lines) == len(WRONG_NAMES) and not list(tmp_path.iterdir())
-    assert all(text in line for text, line in zip(WRONG_NAMES.values(), lines, strict=True)), lines
+    assert [path.name for path in tmp_path.iterdir()] == ["exported"]
+    assert all(text in line for text, line in zip(REFUSED.values(), lines, strict=True)), lines
+
+
+def test_a_target_has_no_effect_with_the_folder_of_an_export(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    for name in ("x_report.json", "policy.npz", "config.yaml"):
+        (tmp_path / name).touch()
+    (tmp_path / ".quadjax.json").write_text('{"kind": "export"}')
+    assert run("sil", ".", "--target", "px4") == 2
+    assert "--target has no effect with the folder of an export" in capfd.readouterr().err
 
 
 def test_ctrl_c_before_the_first_step_leaves_nothing(tmp_path, monkeypatch):
@@ -235,7 +236,7 @@ def test_ctrl_c_before_the_first_step_leaves_nothing(tmp_path, monkeypatch):
 
 
 def test_a_machine_without_compiler_is_one_line(tmp_path, monkeypatch):
-    converted = converted_in(tmp_path, *made("published racing"), "cortex-m7")
+    converted, _ = in_the_simulator(tmp_path)
     sources = sources_of(converted, tmp_path)
     monkeypatch.setattr(toolchain.shutil, "which", lambda name: None)
     monkeypatch.setattr(toolchain, "has_module", lambda name: False)

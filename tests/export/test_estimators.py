@@ -1,4 +1,4 @@
-"""The estimator of the highest propeller speed in fixed point: bounds, bits of the C, on board."""
+"""The estimators on board: of the disturbance, and of the highest propeller speed of a battery."""
 
 import dataclasses
 import functools
@@ -8,49 +8,46 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.config.assembly import make_vehicle
-from quadjax.config.loading import load_config
-from quadjax.core.errors import InputError
 from quadjax.export import emulator
 from quadjax.export.battery import FINE_BITS, make_battery
-from quadjax.export.estimator_emulator import FINE, Battery, estimate_highest
+from quadjax.export.disturbances import make_estimator
+from quadjax.export.estimator_emulator import FINE, Battery, estimate, estimate_highest
 from quadjax.export.integers import quantize
 from quadjax.export.network import convert
-from quadjax.export.race_source import check_race, own_race
+from quadjax.export.race_source import own_race
 from quadjax.export.verify import measurements
 from quadjax.race import environment
 from quadjax.sil.message import RPM_PER_RAD_S
 from quadjax.sil.run import make_world
-from quadjax.sil.source import build, label_of
 from quadjax.vehicle.battery import limit_estimator, middle_limit
-from tests.export.support import converted_in, fixed_policy, library, untrained
-from tests.sil.test_exported import command_of, loaded, sources_of
+from quadjax.vehicle.protocol import VehicleParams
+from tests import reference as ref
+from tests.convert import residual_of
+from tests.export.support import converted_in, fixed_policy, library, made
+from tests.sil.test_exported import command_of, loaded
 
-BATTERY, UNDISTURBED = "battery.charge=[0.1, 1.0]", "observation.disturbance=none"
 
-
-@functools.cache
 def constants():
-    return make_vehicle(load_config("e2e")).constants
+    """Of the vehicle."""
+    return made("battery")[1].params.vehicle.constants
 
 
-@functools.cache
-def made():
-    """An untrained policy that reacts to the highest rpm, its race and its config."""
-    config = load_config("e2e", [BATTERY, UNDISTURBED, "network.hidden=[8]"])
-    policy = untrained(config)
-    layers = [(np.asarray(k) * 0.3, np.asarray(b) + 0.5) for k, b in policy.layers]
-    layers[0][0][-1] = np.linspace(-2.0, 2.0, 8)
-    layers[-1] = (layers[-1][0], np.float32([1.1, 1.0, 0.9, 1.0]))
-    policy = dataclasses.replace(policy, layers=tuple(layers))
-    return policy, own_race(config, policy, "test"), config
+@pytest.mark.parametrize("with_residual, rate, cutoff", [(True, 512.0, 8.0), (False, 400.0, 16.0)])
+def test_the_disturbance_is_the_reference_in_float64(with_residual, rate, cutoff):
+    residual = residual_of(ref.random_residual(-1.0)) if with_residual else None
+    tables = make_estimator(constants(), residual, rate, cutoff)
+    measured = measurements.tumbling(np.random.default_rng(0), rate, 4.0)
+    vehicle = VehicleParams(constants(), residual)
+    exact = measurements.estimate_float64(vehicle, measured, rate, cutoff)
+    error = np.abs(estimate(tables, measured) - exact)
+    assert error[:, :3].max() < 1e-6 and error[:, 3:].max() < 2e-5
 
 
 @pytest.mark.parametrize("rate", [100.0, 512.0])
-def test_it_is_the_reference_in_float64(rate):
-    rng, first = np.random.default_rng(0), 10300.0
-    tables = make_battery(constants(), first, rate)
-    log = measurements.full_power_bursts(rng, constants(), rate, min(8.0, 8_000 / rate))
+def test_the_highest_speed_is_the_reference_in_float64(rate):
+    first, tables = 10300.0, make_battery(constants(), 10300.0, rate)
+    seconds = min(8.0, 8_000 / rate)
+    log = measurements.full_power_bursts(np.random.default_rng(0), constants(), rate, seconds)
     found = estimate_highest(tables, log)
     exact = measurements.highest_float64(constants(), first, log, rate)
     assert np.abs(found - exact).max() < 1e-3
@@ -118,8 +115,7 @@ def test_one_sample_is_that_of_rational_numbers_from_any_memory(rate):
 
 def test_the_c_has_the_bits_of_the_emulator(tmp_path):
     rng, tables = np.random.default_rng(2), make_battery(constants(), 10300.0, 100.0)
-    policy, own, _ = made()
-    c = library(fixed_policy(policy, own, battery=tables), tmp_path)
+    c = library(fixed_policy(*made("battery"), battery=tables), tmp_path)
     bursts = measurements.full_power_bursts(rng, constants(), 100.0, 5.0)
     log = np.concatenate([bursts, random_samples(rng, tables, 500), bursts])
     for samples in (log, bursts[200:]):  # the second one after a reset
@@ -128,25 +124,14 @@ def test_the_c_has_the_bits_of_the_emulator(tmp_path):
     assert np.ptp(found) > 50.0
 
 
-def test_motors_without_room_for_the_proof_are_refused():
-    slow = constants().replace(tau=np.float32(2.0))
-    with pytest.raises(InputError, match="sums may reach 2.*allowed: below 2.62; the motors"):
-        make_battery(slow, 10000.0)
-
-
-def test_another_battery_is_another_race(tmp_path):
-    policy, _, _ = made()
-    with pytest.raises(InputError, match="battery is null, and policy observes highest_rpm; give"):
-        own_race(load_config("e2e"), policy, "e2e")
-    other = own_race(load_config("e2e", ["battery.charge=[0.5, 0.6]"]), policy, "config")
-    with pytest.raises(InputError, match="trained in another race.*: battery.*in training"):
-        check_race(policy, other, tmp_path / "policy.npz")
-
-
-def on_board(folder, rate):
-    """The C of the policy in a folder, and what ``quadjax sil`` reads of it."""
-    policy, own, _ = made()
-    return converted_in(folder, policy, own, "cortex-m7", rate)
+def reacting():
+    """A policy that commands much, and reacts to the highest rpm; and its race."""
+    policy, own = made("battery")
+    (first, bias), (last, _) = policy.layers
+    first = np.concatenate([0.6 * first[:-1], np.linspace(-2.0, 2.0, 8)[None]]).astype(np.float32)
+    layers = ((first, bias + np.float32(0.5)), (last, np.float32([1.1, 1.0, 0.9, 1.0])))
+    policy = dataclasses.replace(policy, layers=layers)
+    return policy, own_race(own.config, policy, "test")
 
 
 def begun(world):
@@ -161,15 +146,15 @@ def begun(world):
 @pytest.mark.slow
 def test_the_c_on_board_observes_what_the_simulator_does(tmp_path):
     """Commands of the C, and of the policy with the simulator's estimate, step by step."""
-    converted = on_board(tmp_path, 100.0)
-    world = make_world(made()[2], converted.policy, None, 1)
-    library, _ = loaded(tmp_path, converted, 100.0)
-    policy, own, _ = made()
+    policy, own = reacting()
+    converted = converted_in(tmp_path, policy, own, "cortex-m7", 100.0)
+    world = make_world(own.config, converted.policy, None, 1)
+    c, _ = loaded(tmp_path, converted, 100.0)
     observe = jax.jit(functools.partial(environment.observe, world.choices))
     network = convert(policy, {"position": 32.0})
     now, apart, limits = begun(world), [], []
     for number in range(150):
-        sent = np.float32(command_of(library, number / 100.0, now.numbers) * RPM_PER_RAD_S)
+        sent = np.float32(command_of(c, number / 100.0, now.numbers) * RPM_PER_RAD_S)
         race = jax.tree.map(lambda x: x[..., 0], now.state.state)
         limits.append(float(race.battery.estimate.highest))
         seen = np.asarray(observe(world.params, race))[None]
@@ -179,11 +164,3 @@ def test_the_c_on_board_observes_what_the_simulator_does(tmp_path):
         now = world.advance(now, sent)
     assert np.ptp(limits) > 20.0
     assert max(apart) < 0.6  # the C rounds to whole rpm
-
-
-@pytest.mark.slow
-def test_sil_refuses_an_estimator_of_another_rate(tmp_path):
-    converted = on_board(tmp_path, 512.0)
-    program, _ = build(converted, sources_of(converted, tmp_path), 100.0)
-    with pytest.raises(InputError, match="cannot fly here: .*the highest rpm is for another rate"):
-        label_of(program, converted)

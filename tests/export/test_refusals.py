@@ -1,0 +1,132 @@
+"""What ``quadjax.export_c`` refuses, in one line that names it."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadjax.core.errors import InputError
+from quadjax.core.resources import CONFIGS, PRETRAINED
+from quadjax.export import flights
+from quadjax.export.convert import export_c
+from quadjax.export.network import convert
+from quadjax.race.layout import Layout, ObservedField
+from tests.export.support import config_of, made, random_rollouts
+
+ALLOWED = {"allow_unfinished": True}
+ANYWHERE = ALLOWED | {"allow_other_race": True}
+SLOW = "vehicle.constants.tau=2"  # s, of the motors
+
+
+def export(folder, name="e2e", config=None, options=ALLOWED, **changes):
+    """Export a made-up policy with other attributes, for its race with overrides."""
+    race = None if config is None else config_of(name, *config)
+    return export_c(dataclasses.replace(made(name)[0], **changes), folder, race, **options)
+
+
+def weighted(value):
+    """Layers whose weights are all large."""
+    layers = made("e2e")[0].layers
+    return {"layers": tuple((np.full_like(kernel, value), bias) for kernel, bias in layers)}
+
+
+OTHER_GATES = "track.gates=[" + ", ".join(f"{{position: [{x}, 0, -1]}}" for x in (3, 0, 1, 2)) + "]"
+EVERYTHING = "everything"
+POLICIES = [  # words of the message, changes of the policy, its race or its export
+    ("layer 1, row 0.* range proof fails", weighted(1e6)),
+    ("layer 0, row 0.*unsupported", {"activation": "tanh"}),
+    ("65535", {"command_high": np.full(4, 70000.0)}),
+    ("no motor vehicle has these limits.*rpm_min, rpm_max", {"command_low": np.arange(4.0)}),
+    ("no rate vehicle has these limits", {"name": "indi", "command_low": np.full(4, -1.0)}),
+    (
+        "log_std 0: a standard deviation of .* allowed: 0 to",
+        {"log_std": np.full(4, 20.0, np.float32), "options": ALLOWED | {"sampled": True}},
+    ),
+    ("battery is null, and .* observes highest_rpm", {"name": EVERYTHING, "config": ["battery="]}),
+    ("sums may reach .* allowed", {"name": EVERYTHING, "config": [SLOW], "options": ANYWHERE}),
+    ("battery.* in training", {"name": EVERYTHING, "config": ["battery.charge=[0.5, 0.6]"]}),
+    (
+        "cut-off 4 Hz has no effect: .*'rate'",
+        {"name": "indi", "options": ALLOWED | {"cutoff": 4.0}},
+    ),
+    (
+        "0.01 s, allowed: whole periods of 256",
+        {"name": "e2e with a history", "options": ALLOWED | {"sample_rate": 256.0}},
+    ),
+    (
+        "observes rotor_speed, which Crazyflie does not give",
+        {"name": "published racing", "options": ALLOWED | {"target": "crazyflie"}},
+    ),
+    (
+        "0.0105 s, allowed: whole milliseconds",
+        {
+            "name": "without rotors",
+            "config": ["rules.time_step=0.0105"],
+            "options": ANYWHERE | {"target": "crazyflie"},
+        },
+    ),
+    ("0 of 32 flights finish 6 laps of track square4 .*allow_unfinished", {"options": {}}),
+] + [
+    (f"trained in another race than config: {text}; all", {"config": [override]})
+    for text, override in (
+        (r"track.position.x is \[ 2.* in training, \[3.* here", OTHER_GATES),
+        ("the number of gates is 4 in training, 6 here", "track=figure8"),
+        ("vehicle.constants.k_w is .* in training, .*e-08 here", "vehicle.constants.k_w=4e-8"),
+        ("time_step is 0.0.* in training, 0.00.* here", "rules.time_step=0.005"),
+        ("gate_test is square in training, world_box here", "rules.gate_test=world_box"),
+        (
+            "vehicle.residual.* is none in .*, other num.* here",
+            "vehicle.residual=standin_residual.npz",
+        ),
+    )
+]
+
+
+@pytest.mark.parametrize(("words", "changes"), POLICIES, ids=[words for words, _ in POLICIES])
+def test_what_cannot_fly_its_race_is_refused(words, changes, tmp_path, no_flights):
+    with pytest.raises(InputError, match=words) as caught:
+        export(tmp_path / "c", **changes)
+    assert "\n" not in str(caught.value) and not (tmp_path / "c").exists()
+
+
+def test_an_observation_of_a_user_has_no_c():
+    policy, _ = made("e2e")
+    wind = ObservedField("wind", 2, "m/s", "body")
+    policy = dataclasses.replace(policy, layout=Layout((*policy.layout.fields, wind)))
+    with pytest.raises(InputError, match="'wind' .2 numbers., which has no C"):
+        convert(policy)
+
+
+def test_shipped_policies_for_other_races_are_refused(tmp_path):
+    for policy, config, words in (
+        (PRETRAINED / "e2e.npz", "e2e", "standin_residual.npz in training, no residual"),
+        (PRETRAINED / "indi.npz", CONFIGS / "e2e.yaml", "e2e.yaml: indi.npz: .* rate .* motor"),
+    ):
+        with pytest.raises(InputError, match=words):
+            export_c(policy, tmp_path / "c", config)
+
+
+def test_a_range_that_its_own_flights_leave_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(flights, "simulate", lambda own: random_rollouts(own, velocity=20.0))
+    with pytest.raises(InputError, match=r"velocity.*20 m/s, declared \+-16.*velocity=32"):
+        export(tmp_path / "c")
+    export(tmp_path / "c", options=ALLOWED | {"ranges": {"velocity": 32.0}})
+
+
+def test_rates_out_of_range_are_refused_before_anything_is_read(tmp_path):
+    for rate in (0.0, -1.0, math.inf, math.nan, 1e300, 1e-300):
+        for options, words in (
+            ({"sample_rate": rate, "cutoff": rate}, "sample rate .* allowed: 1 to 100000 Hz"),
+            ({"cutoff": rate}, "cut-off .* allowed: 0.512 to 128 Hz"),
+        ):
+            with pytest.raises(InputError, match=words):
+                export_c(tmp_path / "none.npz", tmp_path / "c", **options)
+
+
+def test_a_residual_that_the_policy_names_is_in_its_race(tmp_path, no_flights):
+    exported = export_c(PRETRAINED / "e2e.npz", tmp_path / "c", allow_unfinished=True)
+    assert exported.converted.own.residual is not None
+    shipped = (PRETRAINED / "standin_residual.npz").read_bytes()
+    assert Path(tmp_path / "c/residual.npz").read_bytes() == shipped
