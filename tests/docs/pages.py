@@ -20,25 +20,15 @@ _DIRECTIVE = re.compile(r"<!-- test: (\w+)(?:: (.*?))?\s*-->", re.DOTALL)
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block.
-
-    Attributes:
-        page: its file.
-        line: its first line, from 1.
-        language: the word after the fence.
-        title: the file that the block shows, or "".
-        code: its text.
-        skipped: why it is not run, or "".
-        setup: Python code that is run before it.
-    """
+    """A fenced block."""
 
     page: Path
-    line: int
+    line: int  # its first one, from 1
     language: str
-    title: str
+    title: str  # the file that the block shows, or ""
     code: str
-    skipped: str
-    setup: str
+    skipped: str  # why it is not run, or ""
+    setup: str  # Python code that is run before it
 
 
 def name_of(page: Path) -> str:
@@ -54,30 +44,20 @@ def blocks_of(page: Path) -> list[Block]:
     """
     lines = page.read_text(encoding="utf-8").splitlines()
     blocks: list[Block] = []
-    start, since = None, 0
+    opened, start, since = None, 0, 0
     for number, line in enumerate(lines):
-        fence = _FENCE.match(line)
-        if not fence:
+        if not (fence := _FENCE.match(line)):
             continue
-        if start is None:
-            start, opened = number, fence
+        if opened is None:
+            opened, start = fence, number
             continue
-        indent = len(opened.group(1))
-        code = "\n".join(text[indent:] for text in lines[start + 1 : number]) + "\n"
+        indent, language, title = opened.groups()
+        code = "\n".join(text[len(indent) :] for text in lines[start + 1 : number]) + "\n"
         code = _SNIPPET.sub(lambda match: (ROOT / match[1]).read_text("utf-8").rstrip("\n"), code)
         said = dict(_DIRECTIVE.findall("\n".join(lines[since:start])))
-        title = _TITLE.search(opened.group(3))
-        blocks.append(
-            Block(
-                page=page,
-                line=start + 1,
-                language=opened.group(2),
-                title=title.group(1) if title else "",
-                code=code,
-                skipped=said.get("skip", ""),
-                setup=said.get("setup", ""),
-            )
-        )
-        start, since = None, number + 1
-    assert start is None, f"{page}: the block of line {start} has no end"
+        named = _TITLE.search(title)
+        rest = (code, said.get("skip", ""), said.get("setup", ""))
+        blocks.append(Block(page, start + 1, language, named[1] if named else "", *rest))
+        opened, since = None, number + 1
+    assert opened is None, f"{page}: the block of line {start + 1} has no end"
     return blocks

@@ -8,6 +8,7 @@ share a namespace; a block with a title is written to a file of that name; shell
 ``quadjax`` commands.
 """
 
+import re
 import shlex
 import sys
 from pathlib import Path
@@ -87,19 +88,14 @@ def traced_chunk(learner, mesh, updates, params, state):
     return lambda _, state: (state, zeros)
 
 
-def search_of_nothing():
-    """In place of the search for a best known lap: its result has an empty figure."""
-    search = MagicMock()
-    search.return_value.bounded.return_value.plot.return_value = Figure()
-    return search
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("page", GUIDE, ids=name_of)
 def test_blocks_run(page, folder, monkeypatch):
     monkeypatch.setattr(compare, "compare", lambda *_: "")
     monkeypatch.setattr(improve, "improve", lambda *_: "")
-    monkeypatch.setattr(limit, "best_known", search_of_nothing())
+    search = MagicMock()  # its result has an empty figure
+    search.return_value.bounded.return_value.plot.return_value = Figure()
+    monkeypatch.setattr(limit, "best_known", search)
     if name_of(page) not in TRAINED:
         monkeypatch.setattr(parallel, "compile_chunk", traced_chunk)
         monkeypatch.setattr(training_run, "make_flights", lambda *_: lambda networks: NO_LAPS)
@@ -138,36 +134,31 @@ def test_blocks_can_be_run():
 def commands_of(code: str) -> list[list[str]]:
     """The arguments of each command; lines may continue with a backslash."""
     lines = code.replace("\\\n", " ").splitlines()
-    return [
-        arguments for arguments in (shlex.split(line, comments=True) for line in lines) if arguments
-    ]
+    return [words for words in (shlex.split(line, comments=True) for line in lines) if words]
 
 
-def kind_of(arguments: list[str]) -> str:
+def kind_of(words: list[str]) -> str:
     """The key in ``OPTIONS`` of what a command does."""
-    several = arguments.count("--policy") > 1 and arguments[1] == "evaluate"
     for option in ("seeds", "conditions", "flights"):
-        if f"--{option}" in arguments and arguments[1] in {"train", "evaluate"}:
+        if f"--{option}" in words and words[1] in {"train", "evaluate"}:
             return option
-    return "conditions" if several else arguments[1]
+    return "conditions" if words[1] == "evaluate" and words.count("--policy") > 1 else words[1]
 
 
-def shortened(arguments: list[str]) -> list[str]:
+def shortened(words: list[str]) -> list[str]:
     """A command with less to do: a short training, few runs."""
-    if "--help" in arguments:
-        return arguments
-    result = list(arguments)
-    if arguments[1] == "train":
-        changes = [w for w in arguments[3:] if "=" in w and not w.startswith("-")]
-        short = short_overrides(arguments[2], changes)
+    if "--help" in words:
+        return words
+    result = list(words)
+    if words[1] == "train":
+        changes = [word for word in words[3:] if "=" in word and not word.startswith("-")]
+        short = short_overrides(words[2], changes)
         keys = {change.partition("=")[0] for change in short}
-        result = [w for w in result if w.partition("=")[0] not in keys] + short
-    extra = OPTIONS.get(kind_of(arguments), [])
-    for option in [w for w in extra if w.startswith("--")]:
-        if option in result:
-            at = result.index(option)
-            end = at + 1
-            while end < len(result) and not result[end].startswith("-") and "=" not in result[end]:
-                end += 1
-            del result[at:end]
+        result = [word for word in result if word.partition("=")[0] not in keys] + short
+    extra = OPTIONS.get(kind_of(words), [])
+    for option in {word for word in extra if word.startswith("--")} & set(result):
+        end = at = result.index(option)
+        while end == at or (end < len(result) and not re.search("^-|=", result[end])):
+            end += 1
+        del result[at:end]
     return result + extra

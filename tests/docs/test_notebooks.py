@@ -61,7 +61,7 @@ def test_it_runs(path, tmp_path):
 
 
 @by_name
-def test_the_stored_outputs_are_complete(path):
+def test_the_stored_outputs_are_complete_and_of_the_present_inputs(path):
     notebook = read(path)
     nbformat.validate(notebook)
     assert path.stat().st_size < MAX_BYTES
@@ -74,29 +74,22 @@ def test_the_stored_outputs_are_complete(path):
     text = json.dumps([output.get("text", "") for output in outputs])
     assert not re.search(r"/(home|root|tmp|Users)/", text), "a path of one machine"
     assert not re.search(r"\bnan\b|Traceback|Warning", text)
-
-
-@by_name
-def test_it_explains_and_calls(path):
-    """Text leads, one cell holds the parameters, and the rest calls public functions."""
-    notebook = read(path)
-    assert notebook.cells[0].cell_type == "markdown"
-    assert notebook.cells[0].source.startswith("# ")
-    assert parameters_of(notebook).cell_type == "code"
-    code = "\n".join(code_of(notebook))
-    assert not re.search(r"^\s*(def|class) ", code, re.MULTILINE)
-    code = "\n".join(code for code in code_of(notebook) if not code.startswith("%%"))
-    tree = ast.parse(re.sub(r"^%.*$", "", code, flags=re.MULTILINE))
-    assert not inner_names(tree, LIBRARIES | {"matplotlib", "IPython"})
-
-
-@by_name
-def test_the_stored_outputs_are_of_the_present_inputs(path):
-    notebook = read(path)
     assert stamped(notebook) == stamp(notebook), (
         f"{path.name} is stale: its code, or a config or policy that it uses, has changed since it "
         "was executed; run make notebooks"
     )
+
+
+@by_name
+def test_it_explains_and_calls_public_functions(path):
+    notebook = read(path)
+    assert notebook.cells[0].cell_type == "markdown"
+    assert notebook.cells[0].source.startswith("# ")
+    assert parameters_of(notebook).cell_type == "code"
+    code = "\n".join(code for code in code_of(notebook) if not code.startswith("%%"))
+    tree = ast.parse(re.sub(r"^%.*$", "", code, flags=re.MULTILINE))
+    assert not any(isinstance(node, ast.FunctionDef | ast.ClassDef) for node in ast.walk(tree))
+    assert not inner_names(tree, LIBRARIES | {"matplotlib", "IPython"})
 
 
 @by_name
@@ -113,23 +106,18 @@ def test_its_page_has_its_text_and_pictures(path):
 
 def test_what_makes_a_notebook_stale(tmp_path):
     (tmp_path / "configs").mkdir()
-    preset, part = tmp_path / "configs" / "race.yaml", tmp_path / "configs" / "part.yaml"
-    preset.write_text("base: part\n")
-    part.write_text("steps: 1\n")
-    (tmp_path / "configs" / "unused.yaml").write_text("steps: 1\n")
+    part = tmp_path / "configs" / "part.yaml"
+    for name, text in (("race", "base: part\n"), ("part", "steps: 1\n"), ("unused", "steps: 1\n")):
+        (tmp_path / "configs" / f"{name}.yaml").write_text(text)
 
-    def notebook(code):
+    def notebook(code='load("race")'):
         return nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(code)])
 
-    named = notebook('load("race")')
-    assert set(inputs_of(named, tmp_path)) == {"configs/race.yaml", "configs/part.yaml"}
-    assert set(inputs_of(notebook("%%sh\nquadjax train race --name x"), tmp_path)) == set(
-        inputs_of(named, tmp_path)
-    )
-    first = stamp(named, tmp_path)
+    for code in ('load("race")', "%%sh\nquadjax train race --name x"):
+        inputs = inputs_of(notebook(code), tmp_path)
+        assert set(inputs) == {"configs/race.yaml", "configs/part.yaml"}
+    first = stamp(notebook(), tmp_path)
     part.write_text("# a comment\nsteps: 1\n")
-    assert stamp(named, tmp_path) == first
+    assert stamp(notebook(), tmp_path) == first != stamp(notebook('load("race", 2)'), tmp_path)
     part.write_text("steps: 2\n")
-    assert stamp(named, tmp_path) != first
-    part.write_text("steps: 1\n")
-    assert stamp(notebook('load("race", 2)'), tmp_path) != first
+    assert stamp(notebook(), tmp_path) != first
