@@ -19,6 +19,7 @@ from quadjax.export.conversion import sha256
 from quadjax.export.convert import export_c
 from quadjax.export.folder import read_folder
 from quadjax.export.read import read_qjp, unpack
+from quadjax.export.suitability import target_of
 from quadjax.export.verify import checks, run, toolchain
 from quadjax.export.verify.build import Library
 from quadjax.export.verify.checks import CHECKS
@@ -128,6 +129,7 @@ def test_the_target_decides_what_is_written(exported):
     module = files["paparazzi/quadjax.xml"].decode()
     for name in (Path(name).name for name in files if name.endswith(".c")):
         assert f'name="{name}"' in module or name == "qj_angles.c"
+    assert target_of("cortex-a9", "racing").folder == "c"  # for which Paparazzi has no glue
     written = {path.relative_to(exported).as_posix() for path in contents(exported)}
     others = {"made_report.json", "made_report.txt", "policy.npz", "config.yaml", "residual.npz"}
     assert written - {".lock", ".quadjax.json"} == {*files, *others}

@@ -91,12 +91,15 @@ def test_what_cannot_fly_its_race_is_refused(words, changes, tmp_path, no_flight
     assert "\n" not in str(caught.value) and not (tmp_path / "c").exists()
 
 
-def test_an_observation_of_a_user_has_no_c():
+def test_an_observation_and_a_vehicle_of_a_user_have_no_c():
     policy, _ = made("e2e")
     wind = ObservedField("wind", 2, "m/s", "body")
-    policy = dataclasses.replace(policy, layout=Layout((*policy.layout.fields, wind)))
-    with pytest.raises(InputError, match="'wind' .2 numbers., which has no C"):
-        convert(policy)
+    for changes, words in (
+        ({"layout": Layout((*policy.layout.fields, wind))}, "'wind' .2 numbers., which has no C"),
+        ({"vehicle": "mine"}, "vehicle model 'mine' has no C"),
+    ):
+        with pytest.raises(InputError, match=words):
+            convert(dataclasses.replace(policy, **changes))
 
 
 def test_shipped_policies_for_other_races_are_refused(tmp_path):
