@@ -1,4 +1,4 @@
-"""A pilot that needs no training: it flies the rate-level vehicle through gates at a set speed."""
+"""A pilot that needs no training, random policies, and laps that were not flown."""
 
 import jax
 import jax.numpy as jnp
@@ -7,11 +7,20 @@ import numpy as np
 from quadjax.config.assembly import make_choices, make_params
 from quadjax.config.loading import load_config
 from quadjax.policy.file import Policy, layout_of_release_1
+from quadjax.race.laps import Laps
 from tests.race.support import BLANK
 
 GRAVITY = 9.81
 HIGH = np.array([3.0, 3.0, 3.0, 15.0])
 LOW = np.array([-3.0, -3.0, -3.0, 0.0])
+
+
+def flights(*totals: float, laps: int = 2, before: int = 0, reason: str = "hit a gate") -> Laps:
+    """Flights of equal laps, s; NaN for one that ends early, after ``before`` laps of 2.5 s."""
+    times = np.array(totals)[:, None] / laps * np.ones(laps)
+    times[np.isnan(times[:, 0]), :before] = 2.5
+    crashes = tuple("" if np.isfinite(x) else reason for x in totals)
+    return Laps(times, crashes, np.nansum(times, axis=1), 8.0 * laps)
 
 
 def rate_race(*overrides: str):

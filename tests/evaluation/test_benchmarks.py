@@ -31,7 +31,7 @@ def test_probes_of_known_inputs_have_the_known_r_squared():
 
 def test_limits_of_the_commands_are_within_the_nominal_range():
     drawn = {}
-    for overrides in ([], ["vehicle=5inch"]):
+    for overrides in ((), ("vehicle=5inch",)):
         config = load_config(BLANK, overrides)
         kind = base_model(config.vehicle.model)
         nominal = kind.make_constants(config.vehicle.constants)

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.ablation import VARIANTS
 from quadjax import compare
 from quadjax.config.loading import load_config
-from quadjax.core.resources import CONFIGS, PRETRAINED
+from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.plants import drawn
 from quadjax.evaluation.rows import Row, concatenate
 from quadjax.fitting.signals import first_order
@@ -19,19 +19,15 @@ from quadjax.flights.flight import Flight, Signal
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import race_config
 from quadjax.policy.file import Policy
-from quadjax.race.laps import Laps
 from tests.commands import run
+from tests.evaluation.support import flights
 
 ROOT = Path(__file__).resolve().parents[2]
-VEHICLE = load_config("e2e +residual").vehicle
 
 
 def laps(*seconds):
-    """Flights of six laps of these times, s; NaN for one that crashes after three laps of 2.5 s."""
-    times = np.array(seconds)[:, None] * np.ones(6)
-    times[np.isnan(times[:, 0]), :3] = 2.5
-    crashes = tuple("" if np.isfinite(x) else "hit a gate" for x in seconds)
-    return Laps(times, crashes, np.nansum(times, axis=1), 48.0)
+    """Flights of six laps of these times, s; NaN for one that crashes in its fourth lap."""
+    return flights(*6.0 * np.array(seconds), laps=6, before=3)
 
 
 def evaluated(flown, command, unit="rpm", name="command"):
@@ -48,9 +44,9 @@ def test_the_table_has_flights_of_this_comparison_only():
         "INDI simulated": evaluated(laps(2.75, 2.75), 7.0, ("rad/s",) * 4),
         "INDI stand-in plant": evaluated(laps(*[2.85] * 5, 4.0), 3000.0, name="motor_command"),
     }
-    text = compare.table_text(VEHICLE, flown)
+    vehicle = load_config("e2e +residual").vehicle
+    text = compare.table_text(vehicle, flown)
     for line in (
-        "E2E stand-in plant",
         "5/6",
         "E2E's lead over INDI, simulated: +1.50 s; first lap +0.25 s, each later lap +0.25 s",
         "E2E's lead over INDI, stand-in plant: +1.50 s; first lap +0.25 s, each later lap +0.25 s",
@@ -59,7 +55,7 @@ def test_the_table_has_flights_of_this_comparison_only():
     ):
         assert line in text, text
     assert "published" not in text
-    shares = [compare.limit_fraction(VEHICLE, result) for result in flown.values()]
+    shares = [compare.limit_fraction(vehicle, result) for result in flown.values()]
     assert shares == [0.0, 1.0, None, 1.0]
     none = Row("", laps(np.nan, 2.75))
     text = compare.lead("simulated", Row("", laps(2.5, np.nan)), none)
@@ -111,7 +107,6 @@ def test_a_first_order_lag_of_held_commands():
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: f"{v.group} {v.label}")
 def test_policies_of_the_ablation_can_be_trained(variant, monkeypatch):
-    """Its arguments are a valid config, but for a residual that is made elsewhere."""
     monkeypatch.chdir(ROOT)
     config, *arguments = variant.training
     read = load_config(config, [f"name={variant.policy}", *arguments])
@@ -121,9 +116,8 @@ def test_policies_of_the_ablation_can_be_trained(variant, monkeypatch):
 
 @pytest.mark.slow
 def test_the_command_flies_draws_and_writes(tmp_path, capsys):
-    arguments = ["--runs", 2, "--laps", 1, "--plants", 2, "--conditions", "all effects"]
-    plant = CONFIGS / "plant" / "standin.yaml"
-    assert run("compare", plant, *arguments, "--output", tmp_path) == 0
+    options = ["--runs", 2, "--laps", 1, "--plants", 2, "--conditions", "all effects"]
+    assert run("compare", "standin", *options, "--output", tmp_path) == 0
     text = capsys.readouterr().out
     assert "E2E simulated" in text and "2 drawn plants" in text
     written = json.loads((tmp_path / "compare" / "compare.json").read_text())

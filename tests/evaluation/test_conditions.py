@@ -17,7 +17,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.resources import preset_names
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.evaluation import plants, published
-from quadjax.evaluation.conditions import Condition, Conditions, Damaged, damaged, read_conditions
+from quadjax.evaluation.conditions import Condition, Damaged, damaged, read_conditions
 from quadjax.evaluation.rows import Row, Speeds
 from quadjax.evaluation.simulate import fly_with_speeds, start_before_gate, unseen_tracks
 from quadjax.evaluation.table import condition_table, policy_table
@@ -29,8 +29,7 @@ from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.rigid_body import RigidBodyState
 from tests import reference as ref
 from tests.commands import run
-from tests.evaluation.support import random_policy, rate_race, script, scripted
-from tests.evaluation.test_laps import flights
+from tests.evaluation.support import flights, random_policy, rate_race, script, scripted
 from tests.race.support import BLANK
 
 RPM = np.array([7000.0, 7600.0, 8000.0, 7300.0])
@@ -54,22 +53,23 @@ conditions: [{label: a, thrust: 0.9}] | unknown key conditions[0].thrust
 {laps: 2, seconds: 3, conditions: [{label: a}]} | allowed: one of laps, gates, seconds
 conditions: [{label: a, overrides: [vehicle.mass=1]}] | a: Vehicle: unknown key mass
 conditions: [{label: a, overrides: [wind]}] | wind is not of the form key=value
+{plant: standin, conditions: [{label: a, only: [wind]}]} | only has 'wind', allowed: inflow
+{plant: standin, conditions: [{label: a, damage: {}}]} | a: has damage, allowed: without a plant
 """
 
 
 def test_a_list_that_cannot_be_used_is_refused(tmp_path):
     for row in REFUSED.strip().splitlines():
-        text, _, message = row.partition(" | ")
+        text, message = row.split(" | ")
         (tmp_path / "mine.yaml").write_text(text)
         with pytest.raises(InputError, match=re.escape(message)):
             quadjax.evaluate("e2e_nominal", "e2e", conditions=tmp_path / "mine.yaml")
 
 
 def test_a_condition_changes_the_simulated_drone_only():
-    words = ("vehicle.mismatch={k_w: 0.96}", "vehicle.residual_gain=2.0")
-    moment = ("disturbance.moment_bias=[0.01, 0, 0]", "track=figure8")
-    race = Condition(label="a", overrides=(*words, *moment)).race(RACE)
-    assert race.vehicle.mismatch == {"k_w": 0.96} and race.vehicle.residual_gain == 2.0
+    words = ("vehicle.mismatch={k_w: 0.96}", "disturbance.moment_bias=[0.01, 0, 0]")
+    race = Condition(label="a", overrides=(*words, "track=figure8")).race(RACE)
+    assert race.vehicle.mismatch == {"k_w": 0.96}
     assert race.disturbance.moment_bias == (0.01, 0.0, 0.0)
     assert race.vehicle.constants == RACE.vehicle.constants and race.track.name == "figure8"
     assert Condition(label="a").race(RACE) == RACE
@@ -89,14 +89,12 @@ def test_each_condition_of_the_plant_changes_one_thing():
     assert still.delay.command == still.delay.measurement == 0.0
     assert still.effects == PlantConfig().effects
     assert true.navigation == true.disturbance == "ground_truth"
-    delayed, none = plants.pop("only delays"), plants.pop("no effect, no delay")
+    delayed = plants.pop("only delays")
     assert not any(delayed.effects.model_dump().values()) and delayed.delay.command > 0.0
-    assert none.delay.command == 0.0
+    assert plants.pop("no effect, no delay").delay.command == 0.0
     assert {name: plant.battery.charge for name, plant in plants.items()} == {
         f"charge {x:g}": (x, x) for x in (1.0, 0.6, 0.2)
     }
-    with pytest.raises(InputError, match="only has 'wind', allowed: inflow"):
-        Condition(label="a", only=("wind",)).on_plant(PlantConfig())
 
 
 def test_arguments_come_before_the_list_and_the_list_before_the_config():
@@ -153,6 +151,8 @@ def test_without_damage_it_is_the_model_and_other_models_have_none():
     assert damaged(motor.MODEL, listed.conditions[0].damage).rotors == (0.85, 1, 1, 1)
     with pytest.raises(InputError, match="damage: the vehicle is rate, allowed: motor"):
         quadjax.evaluate("indi_shac", "indi", conditions=listed, runs=1)
+    with pytest.raises(InputError, match="from hover"):
+        quadjax.evaluate("e2e_nominal", "e2e", plant="standin", start="random", runs=1)
 
 
 def test_flights_start_before_the_gates():
@@ -176,6 +176,7 @@ def test_flights_start_before_the_gates():
         assert 0.95 * half < np.abs(values).max() <= half * (1 + 1e-5)
 
 
+@pytest.mark.slow
 def test_the_speeds_of_a_race_are_those_of_its_flight():
     _, choices, params = rate_race()
     states = starting_states(choices, params, jax.random.key(0), 2, True, around=True)
@@ -193,7 +194,7 @@ def test_the_speeds_of_a_race_are_those_of_its_flight():
     assert np.all((seconds > 0.2) & (first > 0.2)) and abs(first[0] - first[1]) > 0.01
 
 
-def test_a_table_of_races_has_a_row_for_each_condition():
+def test_tables_of_conditions_and_of_policies():
     speeds = Speeds(*(np.array(x) for x in ([0.9, 0.0], [31.26, 40.0], [6.914, 9.0])))
     row = Row("mine", flights(12.734, np.nan), "±0%", speeds=speeds, speed_limit=28.0)
     none = Row("mine", flights(np.nan), "±10%")
@@ -201,13 +202,10 @@ def test_a_table_of_races_has_a_row_for_each_condition():
     lines = condition_table([row, none], listed.title, listed.columns).format("markdown")
     assert "| ±0% | 1 of 2 | 12.73 s | 11.83 s | 31.3 m/s | 6.91 s | 1 hit a gate |" in lines
     assert "| ±10% | 0 of 1 | - | - | - | - | 1 hit a gate |" in lines
-
-
-def test_a_published_time_is_below_the_policies_of_its_race():
     rows = [
         Row(name, flights(2.0, 2.2), condition, published=beside)
-        for name, row in (("one", published.INDI), ("two", published.INDI), ("three", None))
-        for condition, beside in (("mean", None), ("sampled", row))
+        for name, time in (("one", published.INDI), ("two", published.INDI), ("three", None))
+        for condition, beside in (("mean", None), ("sampled", time))
     ]
     lines = policy_table(rows, "total").format("markdown").splitlines()
     assert ["published" in line for line in lines[2:6]] == [False, False, True, False]
@@ -231,35 +229,21 @@ def test_only_the_policy_with_the_estimate_finishes_under_a_moment_and_with_dama
 
 
 @pytest.mark.slow
-def test_more_drones_crash_with_larger_errors(tmp_path, capsys):
-    file = tmp_path / "found.json"
-    options = ["--study", "spread", "--runs", "60", "--seconds", "7", "--json", str(file)]
-    assert run("evaluate", "e2e +fastest", "--policy", "e2e_fastest", *options) == 0
-    assert "| e2e_fastest | " in capsys.readouterr().out
-    found = json.loads(file.read_text())["flights"]
+def test_more_drones_crash_with_larger_errors(tmp_path):
+    def study(name, *options):
+        files = ("--policy", "e2e_fastest", "--json", tmp_path / "found.json")
+        options = ("--study", name, "--runs", 60, *options)
+        assert run("evaluate", "e2e +fastest", *files, *options) == 0
+        return json.loads((tmp_path / "found.json").read_text())["flights"]
+
+    found = study("spread", "--seconds", 7)
     assert [each["label"] for each in found] == ["±0%", "±10%", "±20%", "±30%"]
     assert found[0]["crashed"] < found[-1]["crashed"] <= 60
     assert 1.9 < found[0]["lap"] < 2.3
-    options = ["--study", "races", "--gates", "6", "--runs", "60", "--json", str(file)]
-    assert run("evaluate", "e2e +fastest", "--policy", "e2e_fastest", *options) == 0
-    found = json.loads(file.read_text())["flights"]
+    found = study("races", "--gates", 6)
     assert found[0]["finished"] > found[-1]["finished"]
     assert 2.0 < found[0]["between"] < found[0]["time"] < 4.5
     assert 5.0 < found[0]["highest_speed"] < 15.0 and found[0]["seconds_above"] is None
-
-
-@pytest.mark.slow
-def test_policies_of_several_files_are_one_table(tmp_path, capsys):
-    random_policy().save(tmp_path / "one.npz")
-    file = tmp_path / "a.json"
-    policies = ("--policy", tmp_path / "one.npz", "--policy", "e2e_nominal")
-    options = ("evaluate.laps=1", *policies, "--runs", 2, "--json", file)
-    assert run("evaluate", "e2e", *options) == 0
-    text = capsys.readouterr().out
-    assert "| one | " in text and "| e2e_nominal | " in text
-    found = json.loads(file.read_text())
-    assert [row["runs"] for row in found["flights"]] == [2] * 8
-    assert found["provenance"]["config"]["name"] == "e2e"
 
 
 @pytest.fixture
@@ -281,11 +265,7 @@ def test_every_drawn_plant_has_its_own_noise_and_its_share_of_the_runs(plants_fl
     flown = quadjax.evaluate("e2e_nominal", "e2e", plant="standin", **numbers)
     assert plants_flown == [(7, 2), (8, 2)]
     assert (flown.row.plants, flown.row.runs, len(flown.row.plant_totals)) == (2, 4, 2)
-    flight = flown.best
-    assert flight["motor_command"].shape == (len(flight.time), 4)
-    listed = Conditions(conditions=(Condition(label="a", damage={}),), plant="standin")
-    with pytest.raises(InputError, match="a: has damage, allowed: without a plant"):
-        quadjax.evaluate("e2e_nominal", "e2e", conditions=listed, runs=1)
+    assert flown.best["motor_command"].shape == (len(flown.best.time), 4)
 
 
 @pytest.mark.slow
@@ -295,23 +275,26 @@ def test_on_a_plant_several_policies_fly_the_protocols_that_it_has(plants_flown,
     text = capsys.readouterr().out
     assert "| policy | mean | sampled |" in text and plants_flown == [(1, 2)] * 4
     assert "Not flown on the plant, which has no such start: mean, random; sampled, random." in text
-    with pytest.raises(InputError, match="from hover"):
-        quadjax.evaluate("e2e_nominal", "e2e", plant="standin", start="random", runs=1)
 
 
 @pytest.mark.slow
-def test_a_flight_leaves_what_was_asked_for(tmp_path, capsys):
-    """A policy that crashes is a result, not an error."""
-    random_policy().save(tmp_path / "policy.npz")
-    outputs = {name: tmp_path / f"a.{name}" for name in ("json", "gif")}
-    arguments = ("--laps", 1, "--runs", 2, "--policy", tmp_path / "policy.npz")
-    files = ("--json", outputs["json"], "--figures", tmp_path, "--animation", outputs["gif"])
-    assert run("evaluate", "e2e", *arguments, *files, "vehicle.constants.k_w=4.5e-8") == 0
+def test_a_policy_that_crashes_is_a_result_with_files_and_a_row_of_a_table(tmp_path, capsys):
+    random_policy().save(tmp_path / "one.npz")
+    files = {name: tmp_path / f"a.{name}" for name in ("json", "gif")}
+    policy = ("--policy", tmp_path / "one.npz", "--laps", 1, "--runs", 2, "--json", files["json"])
+    pictures = ("--figures", tmp_path, "--animation", files["gif"])
+    assert run("evaluate", "e2e", *policy, *pictures, "vehicle.constants.k_w=4.5e-8") == 0
     text = capsys.readouterr().out
     assert "sampled, 2 runs" in text and "0/2" in text
-    result = json.loads(outputs["json"].read_text())
+    result = json.loads(files["json"].read_text())
     assert result["runs"] == 2 and result["finished"] == 0 and len(result["crashes"]) == 2
     pictures = [tmp_path / f"{name}.png" for name in ("trajectory", "perspective", "signals")]
-    for path in (*pictures, outputs["gif"]):
+    for path in (*pictures, files["gif"]):
         with Image.open(path) as image:
             assert image.size[0] > 300
+    assert run("evaluate", "e2e", *policy, "--policy", "e2e_nominal") == 0
+    text = capsys.readouterr().out
+    assert "| one | " in text and "| e2e_nominal | " in text
+    result = json.loads(files["json"].read_text())
+    assert [row["runs"] for row in result["flights"]] == [2] * 8
+    assert result["provenance"]["config"]["name"] == "e2e"

@@ -41,16 +41,18 @@ def colors(image: np.ndarray) -> int:
 
 def test_the_trajectory_is_drawn_to_scale():
     figure = trajectory_figure([circle(crash="hit a gate")], GATES, "title")
-    axes = figure.axes[0]
-    assert axes.get_aspect() == 1.0
+    axes, beside = figure.axes[:2]
+    assert axes.get_aspect() == beside.get_aspect() == 1.0
     assert axes.get_ylim()[0] > axes.get_ylim()[1]  # east is down, or the track were mirrored
-    beside = figure.axes[1]
     assert "east" in axes.get_ylabel() and "height" in beside.get_ylabel()
-    assert "north" in beside.get_xlabel() and beside.get_aspect() == 1.0
+    assert "north" in beside.get_xlabel()
     assert beside.get_ylim()[0] <= 0.0 < 1.5 < beside.get_ylim()[1]  # from the ground up
     widths = [np.ptp(line.get_xdata()) for line in axes.lines if len(line.get_xdata()) == 2]
     assert max(widths) == pytest.approx(2.0) and 1.0 in np.round(widths, 6)
-    assert colors(pixels(figure)) > 100
+    flight = circle(seconds=0.02)
+    still = flight.with_signals(velocity=0 * flight["velocity"])
+    for drawn in (figure, trajectory_figure([still], GATES)):
+        assert colors(pixels(drawn)) > 20
 
 
 def test_gates_have_numbers_and_heights_where_they_differ():
@@ -64,15 +66,12 @@ def test_gates_have_numbers_and_heights_where_they_differ():
     assert {"1", "2"} <= set(level) and not any("m" in text for text in level)
 
 
-def test_a_legend_is_above_the_axes_and_a_still_flight_can_be_drawn():
+def test_a_legend_is_above_the_axes():
     figure = trajectory_figure([circle()], GATES, "title")
     figure.canvas.draw()
     legend = figure.axes[0].get_legend().get_window_extent()
     top = figure.axes[0].get_window_extent().y1
     assert top - 5 <= legend.y0 < legend.y1 < figure.bbox.y1
-    flight = circle(seconds=0.02)
-    still = flight.with_signals(velocity=0 * flight["velocity"])
-    assert colors(pixels(trajectory_figure([still], GATES))) > 10
 
 
 def test_tilted_and_round_gates_have_their_outline_from_both_sides():
@@ -107,10 +106,9 @@ def test_figures_are_written_whole(tmp_path):
         save_figure(figure, tmp_path / "new" / f"a.{kind}")
         assert head in (tmp_path / "new" / f"a.{kind}").read_bytes()[:400]
     assert len(list((tmp_path / "new").iterdir())) == 3
-    with pytest.raises(InputError, match="allowed"):
-        save_figure(figure, tmp_path / "a.nothing")
-    with pytest.raises(InputError, match="cannot be written"):
-        save_figure(figure, "/dev/null/a.png")
+    for path, says in ((tmp_path / "a.nothing", "allowed"), ("/dev/null/a.png", "cannot be")):
+        with pytest.raises(InputError, match=says):
+            save_figure(figure, path)
 
 
 @pytest.mark.slow
@@ -120,14 +118,11 @@ def test_an_animation_is_a_gif_in_real_time(tmp_path):
     animation.write_animation(flights, GATES, path, lambda: calls.append(1), names=["E2E", "INDI"])
     with Image.open(path) as film:
         assert film.format == "GIF" and film.size[0] > 500
-        assert film.n_frames >= 5
-        assert film.info["duration"] == 50
+        assert film.n_frames >= 5 and film.info["duration"] == 50
         first = np.asarray(film.convert("RGB"))
         film.seek(3)
         later = np.asarray(film.convert("RGB"))
     assert len(calls) >= 5 and colors(first) > 20 and np.any(first != later)
-    with pytest.raises(InputError, match="gif"):
-        animation.write_animation(flights, GATES, tmp_path / "flight.mp4")
     with pytest.raises(InputError, match="1 name for 2 flights"):
         animation.write_animation(flights, GATES, path, names=["E2E"])
 

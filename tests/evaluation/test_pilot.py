@@ -12,7 +12,7 @@ from quadjax.core.vectors import Vec3
 from quadjax.policy import pilot
 from quadjax.policy.inference import mean_action, policy_params
 from quadjax.race import environment, episode
-from quadjax.race.layout import Layout, ObservedField
+from quadjax.race.layout import Layout
 from quadjax.training.build import initial_policy
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
@@ -28,8 +28,7 @@ def make(policy, *overrides: str):
 
 
 def test_equal_ranges_change_no_bit():
-    policy = random_policy()
-    _, _, ready = make(policy)
+    _, _, ready = make(random_policy())
     assert np.all(ready.see_scale[:20] == 1) and not ready.see_offset.any()
     assert np.all(ready.act_scale == 1) and not ready.act_offset.any()
 
@@ -89,31 +88,16 @@ def test_samples_are_about_the_mean():
     np.testing.assert_allclose(sampled, wanted, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("here", "there", "scale", "offset"),
-    [
-        ((-1.0, 1.0), (0.0, 0.0), 0.0, 0.0),  # trained with zeros
-        ((0.0, 0.0), (-2.0, 2.0), 0.0, 0.0),  # shown zeros
-        ((3.0, 3.0), (3.0, 3.0), 0.0, 0.0),
-        ((0.0, 2.0), (-2.0, 2.0), 0.5, 0.5),
-    ],
-)
-def test_ranges_without_width_are_seen_as_zero(here, there, scale, offset):
-    field = ObservedField("height", 1, "m", "")
-    shown, own = (Layout((dataclasses.replace(field, span=(s,)),)) for s in (here, there))
-    found = pilot._observation_scale(shown, own)
-    np.testing.assert_array_equal(found, [[scale], [offset]])
-
-
 def test_what_does_not_fit_is_refused():
-    config = load_config(BLANK, [])
-    with pytest.raises(InputError, match=r"file.npz: a policy for the rate vehicle"):
-        pilot.fit_race(*race_of(config), random_policy("rate"), "file.npz")
     policy = random_policy()
     own = dataclasses.replace(policy.layout.fields[0], name="altitude")
-    layout = Layout((own, *policy.layout.fields[1:]))
-    with pytest.raises(InputError, match=r"observes 'altitude' \(3\), which the race"):
-        pilot.fit_race(*race_of(config), dataclasses.replace(policy, layout=layout), "file.npz")
+    other = dataclasses.replace(policy, layout=Layout((own, *policy.layout.fields[1:])))
+    for unfit, says in (
+        (random_policy("rate"), r"file.npz: a policy for the rate vehicle"),
+        (other, r"observes 'altitude' \(3\), which the race"),
+    ):
+        with pytest.raises(InputError, match=says):
+            pilot.fit_race(*race_of(load_config(BLANK)), unfit, "file.npz")
 
 
 def test_a_policy_of_an_own_model_starts_a_run(tmp_path):

@@ -12,41 +12,26 @@ from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.report import box_figure, gap_figure, report_figures, response
 from quadjax.evaluation.table import flights_table
 from quadjax.fitting.signals import first_order
-from quadjax.flights import Flight, save
-from quadjax.flights.flight import motion_signals, vehicle_signals
+from quadjax.flights import save
 from quadjax.sources import load_groups
-from quadjax.vehicle.registry import MODELS
 from tests.commands import run
+from tests.flights.support import circle
 
 RACE = load_config("e2e")
-RADIUS, STEP = 2.5, 0.01  # the circle through all four gates of the track
+STEP = 0.01
 
 
-def circle(seconds: float, laps: float, height: float = 1.5):
-    """Positions (n, 3) and times (n,) of a circle through the gates, from the last gate on."""
-    time = np.arange(0, seconds * laps + 1e-9, STEP)
-    angle = np.arctan2(-1.5, -2.0) + 2 * np.pi * time / seconds
-    place = RADIUS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.column_stack([place, np.full(len(time), -height)]), time
+def states_file(path, seconds, crash_after=None, vehicle="motor"):
+    """A file of ``evaluate --states``: two laps of a circle through the gates for each lap time.
 
-
-def states_file(path, seconds, laps=2, crash_after=None, actuators=4, vehicle="motor"):
-    """A file of ``evaluate --states``, a flight for each of ``seconds`` a lap."""
+    The first flight may crash after some seconds.
+    """
     flights = []
-    for index, each in enumerate(seconds):
-        position, time = circle(each, laps)
-        ends, crash = np.arange(1, laps + 1) * each, None
-        if crash_after is not None and index == 0:
-            end, crash = round(crash_after / STEP), "hit a gate"
-            position, time, ends = position[:end], time[:end], ends[ends < crash_after]
-        ones = np.ones((len(time), 4))
-        motion = dict.fromkeys(("velocity", "attitude", "rates"), ones[:, :3])
-        motors = 8000.0 * ones if actuators == 4 else ones
-        signals = motion_signals({"position": position, **motion})
-        signals |= vehicle_signals(MODELS[vehicle], motors, motors[:, :actuators])
-        flight = Flight(f"{index}", time, signals, source={"vehicle": vehicle})
-        flight = flight.with_passages(RACE.track.gates)
-        flights.append(flight.replace(lap_ends=ends, crash=crash))
+    for lap in seconds:
+        flight = circle(str(lap), lap, model=vehicle, gates=RACE.track.gates, ahead=0.0)
+        flights.append(flight.replace(lap_ends=lap * np.array([1.0, 2.0])))
+    if crash_after is not None:
+        flights[0] = flights[0].opening(crash_after).replace(crash="hit a gate")
     save(flights, path)
     return path
 
@@ -55,23 +40,12 @@ def states_file(path, seconds, laps=2, crash_after=None, actuators=4, vehicle="m
 def groups(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flights")
     states_file(folder / "fast.npz", [3.0, 2.8, 2.9])
-    states_file(folder / "slow.npz", [4.0, 4.2], crash_after=5.0, actuators=1, vehicle="rate")
+    states_file(folder / "slow.npz", [4.0, 4.2], crash_after=5.0, vehicle="rate")
     words = [f"E2E simulated={folder}/fast.npz", f"{folder}/slow.npz"]
     return load_groups(words, RACE.track)
 
 
-def test_a_race_of_a_racing_quadcopter_has_a_report_without_errors_of_commands(tmp_path):
-    """Its vehicle file has no constants of motor, so there is no figure of such flights."""
-    path = states_file(tmp_path / "a.npz", [3.0], vehicle="motor")
-    (tmp_path / "race.yaml").write_text("base: e2e_race\nvehicle: a2rl\n")
-    where = ("--report", tmp_path / "out")
-    assert run("evaluate", tmp_path / "race.yaml", "--flights", f"E2E={path}", *where) == 0
-    names = {file.stem for file in (tmp_path / "out").iterdir()}
-    assert {"boxes", "gaps", "trajectories", "table", "report"} <= names
-    assert not any(name.startswith("errors") for name in names)
-
-
-def test_the_table_has_every_flight_the_fastest_in_bold(groups):
+def test_the_table_has_every_flight_the_fastest_in_bold(groups, monkeypatch):
     text, latex = (flights_table(groups).format(kind) for kind in ("text", "latex"))
     lines = [line.split() for line in text.splitlines()]
     assert ["2", "*2.80*", "*2.80*", "*5.60*"] in lines and ["1", "3.00", "3.00", "6.00"] in lines
@@ -79,8 +53,8 @@ def test_the_table_has_every_flight_the_fastest_in_bold(groups):
     assert "hit a gate" in text and text.count("*2.80*") == 2
     assert r"\textbf{5.60}" in latex and latex.count(r"\textbf") == 3 + 3
     assert latex.count("&") % 3 == 0 and r"\midrule" in latex
-    escaped = flights_table({"a_b & 100%": groups["slow"]}).format("latex")
-    assert r"a\_b \& 100\%" in escaped
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    assert flights_table(groups).format("text") == text  # in a notebook too
 
 
 def test_gaps_are_behind_the_first_of_the_flights_that_finish(groups):
@@ -94,8 +68,7 @@ def test_gaps_are_behind_the_first_of_the_flights_that_finish(groups):
 
 
 def test_trajectories_share_axes_and_one_color_scale(groups):
-    figure = trajectory_figure(groups, RACE.track.gates)
-    *panels, bar = figure.axes
+    *panels, bar = trajectory_figure(groups, RACE.track.gates).axes
     scales = {tuple(np.round(c.get_clim(), 9)) for axes in panels for c in axes.collections}
     assert len(scales) == 1 and "m/s" in bar.get_ylabel()
     assert len({axes.get_xlim() for axes in panels}) == 1
@@ -105,11 +78,8 @@ def test_trajectories_share_axes_and_one_color_scale(groups):
 
 def test_boxes_have_units_and_every_flight(groups):
     panels = box_figure(groups).axes
-    assert [axes.get_xlabel() for axes in panels] == [
-        "lap 1 (s)",
-        "lap 2 (s)",
-        "total of 2 laps (s)",
-    ]
+    labels = [axes.get_xlabel() for axes in panels]
+    assert labels == ["lap 1 (s)", "lap 2 (s)", "total of 2 laps (s)"]
     dots = [[len(line.get_xdata()) for line in a.lines if line.get_marker() == "o"] for a in panels]
     assert panels[0].get_ylim()[0] > panels[0].get_ylim()[1]  # the first group is at the top
     assert dots == [[3, 2], [3, 1], [3, 1]]
@@ -117,21 +87,20 @@ def test_boxes_have_units_and_every_flight(groups):
 
 def test_errors_are_to_the_first_order_response_of_the_commands(groups):
     e2e, indi = groups["E2E simulated"][0], groups["slow"][0]
-    rate = RACE.vehicle.with_model("rate").constants
+    constants = RACE.vehicle.with_model("rate").constants
     signals = response(e2e, RACE.vehicle)
     np.testing.assert_allclose(signals.error, 0.0, atol=1e-6)
     assert (signals.low[0], signals.high[0], signals.units[0]) == (3000, 11000, "rpm")
     command = np.random.default_rng(0).uniform(-2, 2, indi["command"].shape)
     indi = indi.with_signals(command=command)
-    own = response(indi, RACE.vehicle)
-    start = indi["rates"][0]
-    wanted = indi["rates"] - first_order(command[:, :3], start, rate["tau_rate"], STEP)
-    np.testing.assert_allclose(own.error[:, :3], wanted, atol=1e-6)
-    thrust = indi["actuators"][:, 0] - first_order(
-        np.clip(command[:, 3], 0.0, 15.0), indi["actuators"][0, 0], rate["tau_thrust"], STEP
-    )
-    np.testing.assert_allclose(own.error[:, 3], thrust, atol=1e-6)
-    assert tuple(own.units) == ("rad/s",) * 3 + ("m/s^2",) and own.names[3] == "thrust"
+    signals = response(indi, RACE.vehicle)
+    rates, thrust = indi["rates"], indi["actuators"][:, :1]
+    followed = first_order(command[:, :3], rates[0], constants["tau_rate"], STEP)
+    np.testing.assert_allclose(signals.error[:, :3], rates - followed, atol=1e-6)
+    limited = np.clip(command[:, 3:], 0.0, 15.0)
+    lifted = first_order(limited, thrust[0], constants["tau_thrust"], STEP)
+    np.testing.assert_allclose(signals.error[:, 3:], thrust - lifted, atol=1e-6)
+    assert tuple(signals.units) == ("rad/s",) * 3 + ("m/s^2",) and signals.names[3] == "thrust"
     names = dict(report_figures(groups, RACE))
     assert {"errors_1", "errors_2"} <= set(names)
     ticks = [line for line in names["errors_1"].axes[1].lines if len(line.get_xdata()) == 2]
@@ -140,28 +109,32 @@ def test_errors_are_to_the_first_order_response_of_the_commands(groups):
 
 @pytest.mark.slow
 def test_the_command_writes_pdf_svg_and_png(tmp_path, capsys):
-    path = states_file(tmp_path / "a.npz", [3.0])
-    assert run("evaluate", "--flights", f"E2E={path}", "--report", tmp_path / "out") == 0
+    path, out = states_file(tmp_path / "a.npz", [3.0]), tmp_path / "out"
+    assert run("evaluate", "--flights", f"E2E={path}", "--report", out) == 0
     assert "3.00" in capsys.readouterr().out
-    names = {file.name for file in (tmp_path / "out").iterdir()}
+    names = {file.name for file in out.iterdir()}
     for name in ("boxes", "gaps", "trajectories", "errors_1"):
         assert {f"{name}.pdf", f"{name}.svg", f"{name}.png"} <= names
-    with Image.open(tmp_path / "out" / "trajectories.png") as image:
+    with Image.open(out / "trajectories.png") as image:
         assert min(image.size) > 200
-    result = json.loads((tmp_path / "out" / "report.json").read_text())
+    result = json.loads((out / "report.json").read_text())
     assert result["groups"]["E2E"][0]["laps"] == [3.0, 3.0] and "provenance" in result
     slower = states_file(tmp_path / "b.npz", [3.5], vehicle="racing")
-    again = ("evaluate", "--flights", slower, "--report", tmp_path / "out")
+    again = ("evaluate", "--flights", slower, "--report", out)
     assert run(*again) == 2
-    assert (
-        "already holds the results of a report: replace them (--overwrite)"
-        in capsys.readouterr().err
-    )
-    assert json.loads((tmp_path / "out" / "report.json").read_text()) == result
-    (tmp_path / "out" / "notes").write_text("mine")
+    assert "replace them (--overwrite)" in capsys.readouterr().err
+    assert json.loads((out / "report.json").read_text()) == result
+    (out / "notes").write_text("mine")
     assert run(*again, "--overwrite") == 0
-    names = {file.name for file in (tmp_path / "out").iterdir()}
+    names = {file.name for file in out.iterdir()}
     assert {"notes", "gaps.png"} <= names and "errors_1.png" not in names
+    # A race whose vehicle file has no constants of the flights' model: no errors of commands.
+    (tmp_path / "race.yaml").write_text("base: e2e_race\nvehicle: a2rl\n")
+    where = ("--report", tmp_path / "racing")
+    assert run("evaluate", tmp_path / "race.yaml", "--flights", f"E2E={path}", *where) == 0
+    names = {file.stem for file in (tmp_path / "racing").iterdir()}
+    assert {"boxes", "gaps", "trajectories", "table", "report"} <= names
+    assert not any(name.startswith("errors") for name in names)
 
 
 def test_flights_without_a_lap_are_refused(tmp_path, capsys):
@@ -169,9 +142,3 @@ def test_flights_without_a_lap_are_refused(tmp_path, capsys):
     for file, says in ((PRETRAINED / "e2e.npz", "format is"), (tmp_path / "b.npz", "no flight")):
         assert run("evaluate", "--flights", file, "--report", tmp_path / "out") == 2
         assert says in capsys.readouterr().err and not (tmp_path / "out").exists()
-
-
-def test_a_table_is_text_in_a_notebook_too(groups, monkeypatch):
-    wanted = flights_table(groups).format("text")
-    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
-    assert flights_table(groups).format("text") == wanted and "5.60" in wanted
