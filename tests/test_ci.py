@@ -17,6 +17,7 @@ OTHERS = {  # another test, another reason, a module
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("files", "in_ci", "status"), [(ALLOWED, True, 0), (OTHERS, True, 1), (OTHERS, False, 0)]
 )

@@ -92,21 +92,14 @@ def test_policy_comes_back_as_it_went(tmp_path):
     assert second.meta["format"] == "quadjax-policy/2"
 
 
-def test_inference_from_a_file(tmp_path):
-    """The mean and samples, of one observation and of many, in float64 by hand."""
+def test_samples_have_the_noise_of_the_file(tmp_path):
     policy = Policy.load(save(tmp_path / "p.npz", policy_arrays(), POLICY_META))
-    hidden = seen = np.random.default_rng(1).normal(size=(5, 17))
-    for index, (kernel, bias) in enumerate(policy.layers):
-        hidden = hidden @ kernel.astype(float) + bias
-        hidden = np.maximum(hidden, 0.0) if index < 2 else hidden
-    mean = np.asarray(jax.jit(policy.mean)(seen.astype(np.float32)))
-    np.testing.assert_allclose(mean, np.clip(hidden, -1, 1), atol=1e-5)
-    np.testing.assert_allclose(policy(seen[0].astype(np.float32)), mean[0], atol=1e-6)
+    seen = np.random.default_rng(1).normal(size=(5, 17)).astype(np.float32)
+    mean = np.asarray(policy.mean(seen))
+    np.testing.assert_allclose(policy(seen[0]), mean[0], atol=1e-6)
     quiet = dataclasses.replace(policy, log_std=np.full(4, -20.0))
-    drawn = jax.jit(quiet.sample)(seen.astype(np.float32), jax.random.key(0))
-    np.testing.assert_allclose(drawn, mean, atol=1e-6)
-    zeros = np.zeros((4000, 17), np.float32)
-    noisy = np.asarray(jax.jit(policy.sample)(zeros, jax.random.key(0)))
+    np.testing.assert_allclose(quiet.sample(seen, jax.random.key(0)), mean, atol=1e-6)
+    noisy = np.asarray(policy.sample(np.zeros((4000, 17), np.float32), jax.random.key(0)))
     assert noisy.min() >= -1 and noisy.max() <= 1 and noisy.std(axis=0).min() > 0.1
 
 
@@ -177,34 +170,57 @@ def test_damaged_arrays_and_meta_are_one_line_that_names_them(tmp_path):
             assert words in refusal(read, path), damage
 
 
-READERS = pytest.mark.parametrize("read", [Policy.load, read_residual])
+def archive_of(path, array):
+    """An archive of one array, as bytes."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("kernel_0.npy", array)
 
 
-@READERS
-def test_archives_that_are_none(tmp_path, read):
+def header(shape):
+    """The header of an array file, whose contents are missing."""
+    stream = io.BytesIO()
+    described = {"descr": "<f4", "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(stream, described)
+    return stream.getvalue()
+
+
+def with_an_array_twice(path):
+    save(path, policy_arrays() | residual_arrays(), POLICY_META)
+    with zipfile.ZipFile(path) as archive:
+        again = archive.read("kernel_0.npy")
+    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
+        archive.writestr("ballast.npy", b"not an array, and not of the format: it is not read")
+        archive.writestr("kernel_0.npy", again)
+
+
+def with_meta(meta):
+    return lambda path: save(path, policy_arrays(), meta)
+
+
+DIGITS = b"{'descr': '<f4', 'fortran_order': False, 'shape': (" + b"9" * 5000 + b",)}\n"
+DIGITS = b"\x93NUMPY\x01\x00" + len(DIGITS).to_bytes(2, "little") + DIGITS
+ARCHIVES = (  # what writes a file, words of the refusal
+    (lambda path: path.write_bytes(b""), ""),
+    (lambda path: archive_of(path, b"\x93NUMPYgarbage"), ""),
+    (lambda path: archive_of(path, DIGITS), ""),
+    (lambda path: archive_of(path, header((2**20, 2**20))), "kernel_0 has 4,398,046,511,104 bytes"),
+    (lambda path: path.write_bytes(header((3,)) + bytes(12)), ""),
+    (with_an_array_twice, "kernel_0 is in the file more than once"),
+    (with_meta(None), "meta"),
+    (with_meta("{not json"), "JSON"),
+    (with_meta("[1, 2]"), "JSON of an object"),
+    (with_meta("[" * 100_000), "not JSON"),
+    (with_meta('{"format": ' + "1" * 5000 + "}"), "format is inf"),
+)
+
+
+@pytest.mark.parametrize("read", [Policy.load, read_residual])
+def test_archives_and_meta_that_are_none(tmp_path, read):
     path = tmp_path / "f.npz"
-    path.write_bytes(b"")
-    refusal(read, path)
-    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (" + b"9" * 5000 + b",)}\n"
-    for data in (b"garbage", b"\x01\x00" + len(header).to_bytes(2, "little") + header):
-        with zipfile.ZipFile(path, "w") as archive:
-            archive.writestr("kernel_0.npy", b"\x93NUMPY" + data)
-        assert len(refusal(read, path)) < 400 + len(str(path))
-    with open(path, "wb") as stream:
-        np.save(stream, np.zeros(3))
-    refusal(read, path)
-
-
-@READERS
-def test_meta_that_is_none(tmp_path, read):
-    for meta, expected in (
-        (None, "meta"),
-        ("{not json", "JSON"),
-        ("[1, 2]", "JSON of an object"),
-        ("[" * 100_000, "not JSON"),
-        ('{"format": ' + "1" * 5000 + "}", "format is inf"),
-    ):
-        assert expected in refusal(read, save(tmp_path / "a.npz", policy_arrays(), meta))
+    for write, words in ARCHIVES:
+        write(path)
+        message = refusal(read, path)
+        assert words in message and len(message) < 400 + len(str(path))
 
 
 def test_residual_comes_back_as_it_went(tmp_path):
@@ -245,30 +261,8 @@ def test_a_shipped_residual_is_found_by_its_name(tmp_path, monkeypatch):
         read_residual("standin_residual.npz")
 
 
-@READERS
-def test_only_the_arrays_of_the_format_are_read_and_their_sizes_are_checked(tmp_path, read):
-    path = tmp_path / "huge.npz"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        header = io.BytesIO()
-        described = {"descr": "<f4", "fortran_order": False, "shape": (2**20, 2**20)}
-        np.lib.format.write_array_header_1_0(header, described)
-        archive.writestr("kernel_0.npy", header.getvalue())
-    assert "kernel_0 has 4,398,046,511,104 bytes" in refusal(read, path)
-
-
 def test_an_array_with_a_header_of_version_3(tmp_path):
     path = save(tmp_path / "p.npz", {}, POLICY_META)
     with zipfile.ZipFile(path, "a") as archive, archive.open("kernel_0.npy", "w") as stream:
         np.lib.format.write_array(stream, np.ones((3, 2)), version=(3, 0))
     np.testing.assert_array_equal(read_npz(path, "quadjax-policy/1")[0]["kernel_0"], 1.0)
-
-
-@READERS
-def test_an_array_that_is_in_a_file_twice(tmp_path, read):
-    path = save(tmp_path / "p.npz", policy_arrays() | residual_arrays(), POLICY_META)
-    with zipfile.ZipFile(path) as archive:
-        again = archive.read("kernel_0.npy")
-    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
-        archive.writestr("ballast.npy", b"not an array, and not of the format: it is not read")
-        archive.writestr("kernel_0.npy", again)
-    assert "kernel_0 is in the file more than once" in refusal(read, path)

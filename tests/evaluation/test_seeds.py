@@ -7,6 +7,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
 from quadjax.core.plotting import save_figure
+from quadjax.core.resources import CONFIGS
 from quadjax.evaluation.conditions import read_conditions
 from quadjax.evaluation.curves import COLORS, learning_figure, spread, training_figure
 from quadjax.evaluation.evaluate import Evaluation
@@ -15,7 +16,6 @@ from quadjax.evaluation.training import COLUMNS, configs_of, evaluate_seed, form
 from quadjax.training.result import read_metrics
 from tests.evaluation.support import flights
 from tests.surface.short import OF_EACH, OF_LEARNER
-from tests.test_training import CONFIGS
 
 TINY = [*OF_EACH, *OF_LEARNER["ppo"]]
 CONFIG = str(CONFIGS / "e2e_ppo.yaml")

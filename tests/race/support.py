@@ -140,6 +140,28 @@ def level(positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
     return rows
 
 
+# A race with every rule that has a number, one program for all: each test names the numbers that
+# it is about.
+NUMBERS = {
+    "rules.gate_frame": 0.4,
+    "rules.gate_depth": 0.2,
+    "rules.bounds": [[-9, 9], [-9, 9], [-9, 0]],
+    "rules.body_radius": 1e-4,
+    "rules.body_rate_limit": [1000, 1000, 1000],
+    "rules.speed_limit": 500,
+    "reward.overspeed": 5,
+    "reward.overspeed_margin": 0.25,
+    "start.velocity": 0.5,
+    "start.body_rates": 0.1,
+}
+
+
+def ruled(**changed):
+    """A race with every rule; an override's first dot is ``__``."""
+    numbers = NUMBERS | {key.replace("__", "."): value for key, value in changed.items()}
+    return make_race(*(f"{key}={value}" for key, value in numbers.items()))
+
+
 HOVER = (7497.0 - 7000.0) / 4000.0
 
 

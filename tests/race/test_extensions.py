@@ -11,7 +11,7 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
 from quadjax.core.vectors import safe_norm
-from quadjax.race import environment, observations, rewards
+from quadjax.race import environment
 from quadjax.race.draws import Randomization
 from quadjax.race.laps import Laps, fly_race, lap_length, starting_states, time_limit
 from quadjax.race.layout import Layout, ObservedField
@@ -26,7 +26,6 @@ from tests.race.support import (
     HOVER,
     by_rows,
     compiled_observe,
-    compiled_transition,
     first_score,
     level,
     make_race,
@@ -144,26 +143,12 @@ def test_constants_of_a_group_of_ones_own_are_drawn_as_all():
     assert Randomization(constants={"lift": 0.1}).by_constant(Model())["lift"] == 0.1
 
 
-def test_an_entry_of_a_table_is_enough(monkeypatch):
-    """A field is observed. A reward term without a weight, a field of the section, is an error."""
-    monkeypatch.setattr(observations, "OBSERVATIONS", (*observations.OBSERVATIONS, HEIGHT))
-    observations.fields_of.cache_clear()
-    choices, params = make_race()
-    observations.fields_of.cache_clear()
-    assert choices.layout.names[-1] == "height"
-    monkeypatch.setitem(rewards.REWARDS, "height", rewards.Term(lambda step: -step.position.z))
-    state = race_state("motor", level(ref.GATES[:1], np.ones(3)), [0])
-    with pytest.raises(AttributeError, match="height"):
-        compiled_transition(choices)(params, state, np.zeros((1, 4), np.float32))
-
-
-def test_a_layout_survives_its_file():
+def test_a_layout_survives_its_file_and_damage_is_one_line():
     choices, params = make_race("disturbance.moment_x=0.03")
-    layout = choices.layout.with_spans(choices.model, params)
-    back = Layout.from_meta(layout.to_meta(), "file: layout")
-    assert back.labels == layout.labels and back["rpm"].span == ((3000.0, 11000.0),) * 4
+    back = choices.layout.with_spans(choices.model, params)
+    back = Layout.from_meta(back.to_meta(), "file: layout")
+    assert back["rpm"].span == ((3000.0, 11000.0),) * 4 and back["position"].span is None
     assert back["moment_ext"].span[0] == pytest.approx((-0.03, 0.03))
-    assert back["position"].span is None and back.slice("rpm") == slice(12, 16)
     for changes in ({"size": 0}, {"size": 2.5}, {"name": 3}, {"span": [[1, 2]]}, {"range": "x"}):
         broken = [{**item, **(changes if item["name"] == "rpm" else {})} for item in back.to_meta()]
         with pytest.raises(InputError, match=r"layout\[4\]"):

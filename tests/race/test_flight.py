@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 
 from quadjax.core.traced import with_leaves
-from quadjax.race.environment import make_environment
 from quadjax.race.types import RaceState
 from tests import reference as ref
 from tests.convert import residual_of, rows_of, state_of
-from tests.race.support import COURSE, by_rows, compiled_transition, make_race, race_state
+from tests.race.support import compiled_transition, make_race
 
 COUNT, STEPS = 50, 30
 CONSTANTS = {"motor": ref.MOTOR, "rate": ref.RATE}
@@ -109,18 +108,3 @@ def test_drawn_constants_are_flown_and_limit_the_command(kind):
     actions = np.sign(actions[:3]) * 1.5
     found = flight(race, kind, rows, actions, drawn)
     close(found, reference_flight(kind, rows, actions, drawn=drawn))
-
-
-def test_the_ends_of_a_step_stay_apart():
-    """The last step of an episode, the last gate of a course, and both at once."""
-    choices, params = make_race(*COURSE)
-    forward = np.array([np.cos(ref.GATE_YAW[3]), np.sin(ref.GATE_YAW[3]), 0])
-    rows = np.zeros((4, 22))
-    rows[:, ref.P], rows[:, ref.V] = ref.GATES[3] - 2 * forward, 5 * forward
-    rows[2:, ref.P] = ref.GATES[3] - 0.01 * forward
-    rows[:, ref.RPM] = 7497
-    step = by_rows(make_environment(choices).step)
-    state = race_state("motor", rows, 3, [1198, 1199, 0, 1199])
-    _, _, ended, truncated = step(params, state, np.zeros((4, 4), np.float32))
-    np.testing.assert_array_equal(ended, [False, False, True, True])
-    np.testing.assert_array_equal(truncated, [False, True, False, False])

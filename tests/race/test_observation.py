@@ -193,12 +193,6 @@ def test_penalties_of_the_cameras_view_and_of_changes_of_the_action():
         np.testing.assert_allclose(found, wanted, atol=1e-6)
 
 
-def test_penalties_that_are_scheduled_are_computed():
-    race = make_race("reward.perception=0", "schedules.reward.perception.linear=[0, 1]")
-    assert race[1].reward.perception is not None and race[1].reward.action_change is None
-    assert make_race()[1].reward.perception is None
-
-
 FIELDS = ("velocity", "attitude", "rates", "rpm", "last_action")
 HISTORY = f"observation.history={{fields: [{', '.join(FIELDS)}], steps: 3, every: 2}}"
 STEPS = 9

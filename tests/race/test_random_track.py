@@ -73,20 +73,11 @@ def test_the_seed_and_the_settings_determine_the_track():
     assert generate(3).track.name == "random_8_3"
 
 
-def test_settings_come_from_files_and_overrides(tmp_path):
-    file = tmp_path / "mine.yaml"
-    file.write_text("generate: {seed: 4, gates: 6}\n")
-    track = load_config(PRESET, [f"track={file}"]).track
-    assert len(track.gates) == 6 and track.name == "mine"
-    assert track.gates == generate(4, gates=6).track.gates
-    more = load_config(PRESET, [f"track={file}", "track.generate.gates=5"]).track
-    assert more.gates == generate(4, gates=5).track.gates
-    config = tmp_path / "config.yaml"
+def test_settings_come_from_files_and_a_saved_config_has_the_track(tmp_path):
+    config, saved = tmp_path / "config.yaml", tmp_path / "saved.yaml"
     config.write_text(f"base: {PRESET}\ntrack: {{generate: {{seed: 4}}}}\n")
     assert load_config(config).track.gates == generate(4).track.gates
     assert load_config(config, ["track=square4"]).track.name == "square4"
-    assert load_config(config, ["rules.position_limit=40"]).rules.position_limit == 40
-    saved = tmp_path / "saved.yaml"
     saved.write_text(load_config(config).to_yaml())
     assert load_config(saved) == load_config(config)
 
@@ -97,14 +88,9 @@ def test_the_command_writes_and_describes_a_track(tmp_path, capsys):
     text = capsys.readouterr().out
     assert "new: 6 gates, a lap of" in text and figure.stat().st_size > 1000
     loaded = load_config(PRESET, [f"track={file}"])
-    own = generate(4, gates=6)
-    assert loaded.track.gates == own.track.gates and loaded.rules == own.rules
+    assert loaded.track.gates == generate(4, gates=6).track.gates
     assert run("show", file, "seed=5", "--write", "track") == 2
     assert "exists already" in capsys.readouterr().err
-    assert run("show", "grand_challenge") == 0
-    text = capsys.readouterr().out
-    row = text.splitlines()[7]
-    assert "11 gates" in text and row.split()[5:] == ["22.09", "0", "-", "1.5", "x", "1.5"]
 
 
 KEYS = [

@@ -17,7 +17,14 @@ from quadjax.vehicle.registry import MODELS
 from tests import reference as ref
 from tests.convert import rows_of
 from tests.promotion import QUICK
-from tests.race.support import compiled_reset, hover_state, make_config, make_race, track_of
+from tests.race.support import (
+    COURSE,
+    compiled_reset,
+    hover_state,
+    make_config,
+    make_race,
+    track_of,
+)
 
 COUNT = 4000
 SPREAD = (
@@ -150,10 +157,13 @@ def test_hover_start():
     np.testing.assert_allclose(begin.euler.array(), [0, 0, np.radians(-160)], atol=1e-6)
 
 
-def test_starts_repeat_with_their_key():
-    (one, rows), (two, _), (_, other) = (drawn(*make_race(), seed=seed) for seed in (7, 7, 8))
-    jax.tree.map(np.testing.assert_array_equal, one, two)
-    assert np.all(rows[:, 0] != other[:, 0])
+def test_starts_of_a_course():
+    choices, params = make_race(*COURSE, "start.gate=random")
+    states = compiled_reset(choices)(params, jax.random.key(0), 200)
+    position = np.stack([*states.drone.position], axis=-1)
+    for target, center in enumerate([[-3, -1.5, -1.5], *ref.GATES[:3]]):
+        near = position[states.target == target] - center
+        assert len(near) > 20 and np.abs(near).max() <= 0.5 + 1e-6
 
 
 def test_starts_along_the_way_to_the_next_gate_at_any_time():
