@@ -11,7 +11,6 @@ from quadjax.core.resources import PRETRAINED, find_config, find_policy
 from quadjax.evaluation import evaluate
 from quadjax.fitting.config import load_fit_config
 from quadjax.policy.file import Policy
-from quadjax.training import folder as training
 from tests.commands import run
 
 
@@ -56,14 +55,3 @@ def test_a_copy_of_a_run_without_its_hidden_file_is_viewed(here, monkeypatch, ca
     (here / "empty").mkdir()
     assert run("view", "empty") == 2
     assert "empty: no policy.npz, expected the folder of a training run" in capsys.readouterr().err
-
-
-def test_messages_of_functions_name_arguments_and_those_of_commands_options(here, capsys):
-    config = load_config("e2e", ["name=a"])
-    (here / "runs" / "a" / "checkpoints").mkdir(parents=True)
-    (here / "runs" / "a" / ".quadjax.json").write_text('{"kind": "training"}')
-    (here / "runs" / "a" / "policy.npz").write_bytes(b"")
-    with pytest.raises(InputError, match=r"\(resume=True\), replace it \(overwrite=True\)"):
-        training.prepare_folder(config, here / "runs" / "a", resume=False, overwrite=False)
-    assert run("train", "e2e", "--name", "a", "run.devices=1") == 2
-    assert "resume it (--resume), replace it (--overwrite)" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The command quadjax: subcommands, help, exit status, one-line errors."""
+"""The command quadjax: subcommands, help, exit status, Ctrl-C, one-line errors."""
 
 import errno
 import os
@@ -14,6 +14,7 @@ import pytest
 import quadjax
 from quadjax.core.errors import InputError, run_command
 from quadjax.core.imports import load_object, user_numbers
+from quadjax.core.interruptions import interruptions
 from quadjax.core.resources import policy_names, preset_names
 from tests.commands import run
 from tests.scripts import run_script
@@ -37,17 +38,17 @@ def test_what_is_shipped_is_listed(capsys):
         assert each in text
 
 
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [
-        ("e2e_nominal.npz", "network 24-64-64-64-4, relu"),
-        ("figure8", "figure8: 6 gates, a lap of"),
-        ("a2rl", "A2RL drone, model a2rl"),
-    ],
-)
-def test_a_name_is_shown_by_its_kind(name, says, capsys):
+SHOWN = {
+    "e2e_nominal.npz": "network 24-64-64-64-4, relu",
+    "figure8": "figure8: 6 gates, a lap of",
+    "bebop1": "Parrot Bebop 1",
+}
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_a_name_is_shown_by_its_kind(name, capsys):
     assert run("show", name) == 0
-    assert says in capsys.readouterr().out
+    assert SHOWN[name] in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("script", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda p: p.stem)
@@ -114,6 +115,25 @@ def test_faults_of_the_program_are_raised(monkeypatch, kind):
         run_command(raising(InputError("x")))
 
 
+REFUSED = {  # the command line refuses modules and names that do not exist
+    "../math:pi": "allowed",
+    "leaves:x": r"cannot be imported \(SystemExit: 3\)",
+    "broken_module:x": r"cannot be imported \(ZeroDivisionError: division by zero\)",
+}
+
+
+def test_an_object_of_a_module_next_to_the_config(tmp_path, monkeypatch):
+    (tmp_path / "my_terms.py").write_text("class Terms:\n    weight = 3\n")
+    (tmp_path / "broken_module.py").write_text("1 / 0\n")
+    (tmp_path / "leaves.py").write_text("import sys\n\nsys.exit(3)\n")
+    monkeypatch.chdir(tmp_path)
+    assert load_object("my_terms:Terms.weight", "reward.terms") == 3
+    for path, message in REFUSED.items():
+        with pytest.raises(InputError, match=message) as caught:
+            load_object(path, "reward.terms")
+        assert "\n" not in str(caught.value)
+
+
 def test_an_error_in_a_user_s_module_names_its_line(tmp_path, monkeypatch):
     (tmp_path / "blames.py").write_text("def wrong(step):\n    return 1 / 0\n")
     monkeypatch.chdir(tmp_path)
@@ -122,6 +142,20 @@ def test_an_error_in_a_user_s_module_names_its_line(tmp_path, monkeypatch):
         user_numbers("term", wrong, None)
     with pytest.raises(ZeroDivisionError):
         run_command(lambda: wrong(None))
+
+
+def test_the_first_sets_an_event_and_the_second_raises(capfd):
+    before = signal.getsignal(signal.SIGINT)
+    with interruptions() as stop:
+        assert not stop.is_set()
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop.wait(10)
+        assert "Ctrl-C again ends without saving" in capfd.readouterr().err
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+            stop.wait(10)
+            signal.pause()
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 @pytest.mark.slow

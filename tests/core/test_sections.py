@@ -1,7 +1,5 @@
 """The base of all configs: reading, composing, building and one-line errors."""
 
-import subprocess
-import sys
 from typing import Annotated, Literal
 
 import pytest
@@ -89,29 +87,10 @@ def test_build_refuses_in_one_line(tree, message):
     assert text.startswith(f"f.yaml: {message}") and "\n" not in text
 
 
-def test_a_section_made_directly_refuses_in_one_line():
-    with pytest.raises(
-        InputError, match="^Span: begin is -1, allowed: greater than or equal to 0$"
-    ):
-        Span(begin=-1)
-    with pytest.raises(InputError, match="^Span: unknown key start; allowed there: begin, until$"):
-        Span(start=1.0)
-    assert Span(begin=1, end=2.0) == Span(begin=1.0, until=2)
-
-
 def test_yaml_is_version_1_2():
     text = "a: 1e-3\nb: yes\nc: 2026-01-31\nd: 0o10\ne: 1_000\nf: 010\ng: null\nh: true\ni: .5"
-    assert parse_yaml(text, "t") == {
-        "a": 1e-3,
-        "b": "yes",
-        "c": "2026-01-31",
-        "d": 8,
-        "e": 1000,
-        "f": 10,
-        "g": None,
-        "h": True,
-        "i": 0.5,
-    }
+    values = (1e-3, "yes", "2026-01-31", 8, 1000, 10, None, True, 0.5)
+    assert parse_yaml(text, "t") == dict(zip("abcdefghi", values, strict=True))
     assert parse_yaml("${oc.env:HOME}", "t") == "${oc.env:HOME}"
 
 
@@ -147,23 +126,21 @@ def test_bases_compose_in_order(tmp_path):
 
 
 def test_bases_refused(tmp_path):
-    def message(text):
-        path = tmp_path / "c.yaml"
-        path.write_text(text)
-        with pytest.raises(InputError) as caught:
-            read_tree_with_bases(path)
-        return str(caught.value)
-
-    assert "leads back to itself" in message("base: c.yaml")
-    assert "no such file" in message("base: none")
-    assert "allowed: a file name or a list" in message("base: [1]")
     (tmp_path / "link.yaml").symlink_to(tmp_path / "link.yaml")
-    assert "link" in message("base: link.yaml")
     (tmp_path / "zero.yaml").symlink_to("/dev/zero")
-    assert "not a regular file" in message("base: zero.yaml")
-    for index in range(1500):
+    for index in range(25):
         (tmp_path / f"n{index}.yaml").write_text(f"base: n{index + 1}.yaml")
-    assert "a chain of more than 20" in message("base: n0.yaml")
+    for base, message in (
+        ("c.yaml", "leads back to itself"),
+        ("none", "no such file"),
+        ("[1]", r"allowed: a file name or a list"),
+        ("link.yaml", "link"),
+        ("zero.yaml", "not a regular file"),
+        ("n0.yaml", "a chain of more than 20"),
+    ):
+        (tmp_path / "c.yaml").write_text(f"base: {base}")
+        with pytest.raises(InputError, match=message):
+            read_tree_with_bases(tmp_path / "c.yaml")
 
 
 def test_overrides():
@@ -198,11 +175,6 @@ def test_describe_lists_every_key():
     assert found["count"].description == "a number of things" and found["count"].default == 3
     assert found["span.until"].allowed == "a number, above 0, at most 3"
     assert "span" not in found
-
-
-def test_config_imports_no_jax():
-    code = "import sys, quadjax.core.sections; sys.exit('jax' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
 def test_small_numbers_are_numbers_in_yaml_1_1_too():

@@ -1,4 +1,4 @@
-"""Every size in every schema has an upper bound, which is stated at the key."""
+"""Every key of every schema is described, and every size has an upper bound."""
 
 import importlib
 import pkgutil
@@ -6,10 +6,11 @@ import pkgutil
 import pytest
 
 import quadjax
+from quadjax.config.reference import describe
 from quadjax.core.errors import InputError
 from quadjax.core.sections import Section, validate
 
-MODULES = ("schema", "config", "ppo", "shac", "section", "track", "conditions")
+MODULES = ("schema", "config", "ppo", "shac", "section", "schedules", "track", "conditions")
 
 
 def sections() -> list[type[Section]]:
@@ -39,12 +40,14 @@ def unbounded(name, node):
         yield from unbounded(name, each) if isinstance(each, dict) else ()
 
 
-def test_every_size_has_an_upper_bound():
+def test_every_key_is_described_and_every_size_has_an_upper_bound():
     names = {section.__name__ for section in sections()}
     assert {"Config", "PPO", "SHAC", "Network", "SweepFile", "FitConfig", "PlantConfig"} <= names
     for section in sections():
         for name, node in section.model_json_schema()["properties"].items():
             assert not list(unbounded(f"{section.__name__}.{name}", node))
+        if section.__module__.rpartition(".")[2] in MODULES:  # of configs, which users write
+            assert not [info.key for info in describe(section) if not info.description.strip()]
 
 
 class Anything(Section):
