@@ -9,7 +9,7 @@ import scipy.stats
 
 from quadjax.core.errors import InputError
 from quadjax.learners.loop import plan_chunks
-from quadjax.learners.parallel import check_memory, choose_devices, make_mesh
+from quadjax.learners.parallel import choose_devices
 from quadjax.learners.ppo import PPO, Batch, loss
 from quadjax.learners.rollout import Steps, clip, run_epochs, td_lambda
 from quadjax.learners.shac import SHAC, total_return
@@ -112,12 +112,6 @@ def test_a_gradient_is_scaled_to_a_norm():
     assert half["a"] == 1.5 and half["b"][0, 1] == 2
 
 
-def test_more_memory_than_there_is_is_refused():
-    check_memory(1e6, make_mesh(1))
-    with pytest.raises(InputError, match="training needs about .* GiB of memory on each device"):
-        check_memory(1e18, make_mesh(1))
-
-
 def test_devices_divide_the_environments():
     assert [choose_devices("auto", n) for n in (0, 1)] == [1, 1]
     assert choose_devices("auto", 64) == min(2 ** int(np.log2(jax.device_count())), 64)
@@ -149,9 +143,8 @@ def test_minibatches_take_every_block_once_in_each_epoch(length):
 
 
 def test_a_run_has_the_steps_that_are_asked_for():
-    for wanted in range(1, 400):
-        for chunk in range(1, 60):
-            plan = plan_chunks(10 * wanted, 10 * chunk, 10)
-            assert wanted <= plan.updates < wanted + plan.updates_per_chunk
+    for wanted, chunk in np.ndindex(300, 40):
+        plan = plan_chunks(10 * (wanted + 1), 10 * (chunk + 1), 10)
+        assert wanted < plan.updates <= wanted + plan.updates_per_chunk
     plan = plan_chunks(16_000_000, 250_000, 12288)  # as a preset plans it
     assert (plan.updates_per_chunk, plan.chunks, plan.steps) == (21, 63, 21 * 63 * 12288)

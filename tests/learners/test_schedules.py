@@ -55,28 +55,28 @@ def numbers(learner, update):
     return float(found["rate"]), found["gain"].tolist()
 
 
-def test_leaves_that_differ_are_interpolated_in_environment_steps():
-    rate = {"linear": (1.0, 5.0), "start": 2 * STEPS, "until": 4 * STEPS}
-    learner = scheduled({"rate": rate})
-    rates = [numbers(learner, update)[0] for update in (0, 2, 3, 4, 5, 10**9)]
-    assert rates == [1, 1, 3, 5, 5, 5]
-    assert numbers(learner, 3)[1] == [2, 20]
+VALUES = {  # a schedule of the gain, which is 2, and its values after numbers of updates of ten
+    "two knots": ({"linear": (1.0, 5.0), "start": 128, "until": 256}, {0: 1, 2: 1, 3: 3, 5: 5}),
+    "its last value stays": ({"linear": (1.0, 5.0)}, {10: 5, 10**9: 5}),
+    "several knots": ({"linear": (0.0, 4.0, "value")}, {0: 0, 2: 1.6, 5: 4, 8: 2.8, 10: 2}),
+    "a jump": ({"linear": (2.0, 6.0), "start": 256, "until": 256}, {0: 2, 3: 2, 4: 6, 5: 6}),
+}
 
 
-def test_several_knots_and_a_run_begins_with_the_first_values():
-    schedules = {"rate": {"linear": (8.0, 0.0)}, "gain": {"linear": (0.0, 4.0, "value")}}
-    learner = scheduled(schedules)
+@pytest.mark.parametrize("case", VALUES)
+def test_the_values_of_a_schedule(case):
+    schedule, values = VALUES[case]
+    learner = scheduled({"gain": schedule})
+    for update, value in values.items():
+        rate, gain = numbers(learner, update)
+        np.testing.assert_allclose(gain, [value, 10 * value], atol=1e-5)
+        assert rate == 1.0  # which has no schedule
+
+
+def test_a_run_begins_with_the_first_values():
+    learner = scheduled({"rate": {"linear": (8.0, 0.0)}, "gain": {"linear": (0.0, 4.0)}})
     rate, gain = learner.init(learner.hyper, tree()[1], None)
     assert (float(rate), gain.tolist()) == (8, [0, 0])
-    found = [numbers(learner, update)[1][0] for update in (0, 2, 5, 8, 10)]
-    np.testing.assert_allclose(found, [0, 1.6, 4, 2.8, 2], atol=1e-6)
-    assert numbers(learner, 5) == (4, [4, 40])
-
-
-def test_the_value_jumps_at_two_equal_knots():
-    jump = {"linear": (2.0, 6.0), "start": 4 * STEPS, "until": 4 * STEPS}
-    learner = scheduled({"gain": jump})
-    assert [numbers(learner, update)[1][0] for update in (0, 3, 4, 5)] == [2, 2, 6, 6]
 
 
 def test_other_numbers_of_a_schedule_compile_nothing(caplog):

@@ -66,6 +66,7 @@ def test_rotation_in_the_observation(vehicle):
     assert layout.size == (27 if vehicle == "motor" else 23) and "attitude" not in layout
 
 
+@pytest.mark.slow
 def test_gradient_through_the_race_at_any_attitude():
     """A step at attitudes without unique angles ends no episode; gradients are finite."""
     choices, params = make_race(TRACK, "reward.pitch_up=1", "vehicle=5inch")

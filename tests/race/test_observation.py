@@ -64,20 +64,6 @@ def test_against_an_independent_version(kind, gates, wrap):
     assert away.mean() > 0.95
 
 
-def test_by_hand():
-    choices, params = make_race(*PAPER)
-    rows = np.zeros((1, 22))
-    rows[0, ref.P] = ref.GATES[0] + [1, 0, -0.5]
-    rows[0, ref.V], rows[0, ref.EULER], rows[0, ref.RATES] = [0, 2, 3], [0.1, 0.2, 0.3], [4, 5, 6]
-    rows[0, ref.RPM] = [3000, 5000, 7000, 11000]
-    rows[0, ref.MOMENT], rows[0, 21] = [0.03, -0.015, 0.005], -0.25
-    found = compiled_observe(choices)(params, race_state("motor", rows))[0]
-    c = np.sqrt(0.5)
-    expected = [c, -c, -0.5, 2 * c, 2 * c, 3, 0.1, 0.2, 0.3 - np.pi / 4, 4, 5, 6]
-    expected += [-1, -0.5, 0, 1, 3 * c, 3 * c, 0, np.pi / 2, 1, -0.5, 0.5, -0.5]
-    np.testing.assert_allclose(found, expected, atol=1e-5)
-
-
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_unchanged_when_all_is_turned_and_moved(kind):
     choices, params = make_race(f"vehicle.model={kind}", *disturbed(kind))
@@ -247,9 +233,7 @@ def test_gradients_flow_through_the_history(flown):
     assert jax.grad(seen)(0.3) == 1.0
 
 
-def test_a_history_of_the_actuators_of_any_model():
-    for vehicle, name in (("bebop1", "rpm"), ("5inch", "rotor_speed")):
-        config = make_config(
-            f"vehicle={vehicle}", "observation.history={fields: [actuators], steps: 1}"
-        )
-        assert make_choices(config).layout.names[-1] == f"{name}@4"
+@pytest.mark.parametrize(("vehicle", "name"), [("bebop1", "rpm"), ("5inch", "rotor_speed")])
+def test_a_history_of_the_actuators_of_any_model(vehicle, name):
+    history = "observation.history={fields: [actuators], steps: 1}"
+    assert make_choices(make_config(f"vehicle={vehicle}", history)).layout.names[-1] == f"{name}@4"

@@ -155,6 +155,7 @@ def test_headings_of_one_track_are_refused_on_random_tracks():
         environment.reset(params, jax.random.key(0))
 
 
+@pytest.mark.slow
 def test_flights_on_new_tracks_are_counted(tmp_path, capsys):
     arguments = ["evaluate", "e2e +fastest", "--policy", str(PRETRAINED / "e2e_fastest.npz")]
     arguments += ["--study", "random-tracks"]

@@ -39,7 +39,6 @@ def test_the_network_is_that_of_the_file_which_has_a_critic(tmp_path, capsys):
         initial_policy(fine_tuning(make_config("network.hidden=[6, 6]"), file))
     dataclasses.replace(policy, value=None).save(bare)
     for name, more, says in (
-        ("none.npz", (), "none.npz: no such file"),
         (bare, (), "bare.npz has no critic, allowed: a policy with one; run.initial_policy="),
         (bare, (f"run.initial_policy={file}",), "and run.initial_policy exclude each other"),
     ):

@@ -70,7 +70,7 @@ def test_scheduled_draws_are_observed_only_where_there_is_a_width():
     assert privileged_constants(make_config("randomization.all=0.2", scheduled, OWN[1]))
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "shac"])
+@pytest.mark.parametrize("algorithm", ["ppo", pytest.param("shac", marks=pytest.mark.slow)])
 def test_both_learners_have_a_program_with_it(algorithm):
     config = make_config(*OWN, SMALL, f"learner.algorithm={algorithm}")
     (learner, _), params = make_learner(config), race_of(config)[1]

@@ -1,13 +1,20 @@
-"""What a training shows: on one line of 80 columns, with advice where no lap is completed."""
+"""What a training shows, and the score by which it chooses the best policy."""
 
 import io
+import types
 
+import numpy as np
+import pytest
 from rich.console import Console
 
-from quadjax.race.laps import OUT_OF_TIME
+from quadjax.learners.loop import Progress
+from quadjax.race.laps import OUT_OF_TIME, Laps
 from quadjax.race.rules import TERMINATIONS
+from quadjax.training import score
+from quadjax.training.checkpoint import RunState
 from quadjax.training.progress import TrainingProgress, describe
 from quadjax.training.score import CHANGES, no_lap
+from tests.surface.short import short_config
 
 ROW = {
     "steps": 12_300_000,
@@ -51,3 +58,31 @@ def test_without_a_lap_it_says_what_ended_the_flights_and_what_to_change():
     every = [no_lap([reason] * 9, steps) for reason in CHANGES for steps in (1e5, 1e8)]
     assert max(len(line) for text in every for line in text.splitlines()) < 80
     assert "20,000 steps are few" in no_lap(["hit a gate"], 20_000)
+
+
+@pytest.mark.parametrize(("kind", "count"), [("mean", 1), ("sampled", 16)])
+def test_the_flights_of_a_score(kind, count, monkeypatch):
+    """Of the mean action, or with the noise of training, as ``run.score`` says."""
+    calls = []
+
+    def fly(choices, params, act, policy, key, laps, runs, gates):
+        calls.append((act, runs))
+        return Laps(np.full((runs, 1), 2.0), ("",) * runs, np.full(runs, 2.0), 8.0), None
+
+    monkeypatch.setattr(score, "fly_laps", fly)
+    monkeypatch.setattr(score, "network_policy", lambda config, params: params)
+    config = short_config("e2e", f"run.score={kind}")
+    assert score.make_flights(config, params=None)(np.zeros(1)).score == 2.0
+    expected = {"mean": score.act_deterministic, "sampled": score.act_sampled}
+    assert calls == [(expected[kind], count)]
+
+
+def test_the_best_policy_is_the_latest_of_equal_scores():
+    found, kept = RunState(state=None, best="none"), []
+    for chunk, total in enumerate([np.inf, 15.0, 14.0, 14.0, 16.0, np.inf]):
+        state = types.SimpleNamespace(evaluated=str(chunk))
+        progress = Progress(state, 100 * (chunk + 1), {}, 1.0)
+        found = found.after(progress, total, 1.0)
+        kept.append((found.best, found.best_score, found.best_steps))
+    assert kept[:3] == [("0", np.inf, 100), ("1", 15.0, 200), ("2", 14.0, 300)]
+    assert kept[3:] == [("3", 14.0, 400)] * 3

@@ -1,4 +1,4 @@
-"""Mistakes in a user's own functions: one line that names them, and no folder of a run."""
+"""Mistakes in a user's own functions and files: one line, and no folder of a run."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.training.run import train
 from tests.commands import run
-from tests.config.test_loading import BLANK
+from tests.race.support import BLANK
 
 SMALL = ["run.steps=64", "run.evaluate_every=64", "network.hidden=[8]", "run.devices=1"]
 
@@ -21,12 +21,14 @@ observation.extra=['OWN:vector'] | OWN:vector is a function, expected a quadjax.
 learner.algorithm=OWN:NoLearner | make() gives a NoneType, expected a quadjax.L
 learner.algorithm=OWN:NO_STATE | NO_STATE: init gives ShapeDtypeStruct(
 learner.algorithm=OWN:NO_METRICS | learner.algorithm OWN:NO_METRICS:
+run.initial_policy=none.npz | none.npz
+vehicle.residual=none.npz | none.npz
 learner.algorithm=OWN:DIVIDES | OWN:DIVIDES: ZeroDivisionError: division
 """.strip().splitlines()
 
 
 @pytest.mark.parametrize("row", WRONG)
-def test_a_wrong_function_is_one_line_before_the_folder_exists(row, tmp_path):
+def test_a_mistake_is_one_line_before_the_folder_exists(row, tmp_path):
     override, _, message = row.replace("OWN", "tests.training.own").partition(" | ")
     config = load_config(BLANK, [*SMALL, override])
     with pytest.raises(InputError) as caught:
