@@ -28,7 +28,7 @@ def read(folder: Path) -> Plant:
     for place in sorted(folder.glob("round_*"), key=lambda path: int(path.name[6:])):
         refitted, state = json.loads((place / "model.json").read_text()), "none"
         if refitted["before"]:
-            state = "rejected" if refitted["refused"] else "accepted"
+            state = "rejected" if refitted.get("rejection", refitted.get("refused")) else "accepted"
         flown = json.loads((place / "flights.json").read_text())
         rounds.append({"flown": flown, "model": state})
     names = {"before": "check_*_before.json", "after": f"check_*_after_{len(rounds)}.json"}

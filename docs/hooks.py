@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import inspect
 import io
+import re
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -18,6 +19,11 @@ from quadjax.core.yaml_files import to_yaml
 from quadjax.race.track import GateSection
 from quadjax.vehicle.constants import KEY, Declaration
 from quadjax.vehicle.protocol import Signal
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Leave out links to examples, which the page includes; they are for readers of the file."""
+    return re.sub(r"\[([^]]+)\]\(\.\./\.\./examples/[^)]+\)", r"\1", markdown)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

@@ -5,25 +5,19 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.config.layers import file_values
-from quadjax.config.loading import generated, load_config
+from quadjax.config.layers import OVERRIDES, file_values
+from quadjax.config.loading import load_config
 from quadjax.config.reference import commented_yaml
 from quadjax.config.reference import describe as keys_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import write_text
-from quadjax.core.resources import find_file, find_policy, policy_names, preset_names
+from quadjax.core.resources import find_file, find_policy, is_run, policy_names, preset_names
 from quadjax.core.sections import validate
-from quadjax.core.yaml_files import (
-    Sources,
-    override,
-    parse_overrides,
-    read_tree_with_bases,
-    to_yaml,
-)
+from quadjax.core.yaml_files import override, parse_overrides, read_tree_with_bases, to_yaml
 from quadjax.evaluation.table import Table, number
 from quadjax.policy.file import Policy
-from quadjax.race.random_track import RandomTrack
+from quadjax.race.random_track import RandomTrack, generate
 from quadjax.race.track import GateSection, TrackSection
 from quadjax.vehicle import vehicle_file
 from quadjax.vehicle.airframe import Airframe
@@ -41,7 +35,7 @@ def kind_of(what: str) -> str:
     Raises:
         InputError: no such name or file.
     """
-    if Path(what).suffix == ".npz":
+    if Path(what).suffix == ".npz" or is_run(Path(what)):
         return "policy"
     if Path(what).is_file():
         keys = set(read_tree_with_bases(what))
@@ -51,15 +45,16 @@ def kind_of(what: str) -> str:
     names = {kind: preset_names(folder) for kind, folder in kinds.items()}
     names["policy"] = policy_names()
     for kind, shipped in names.items():
-        if Path(what).with_suffix("").name in shipped:
+        if what.removesuffix(".yaml") in shipped:
             return kind
-    if Path(what).is_dir():
+    if what and Path(what).is_dir():
         raise InputError(
             f"{what}: is a folder, allowed: a name that quadjax show lists, or a file of a "
             "config, a track, a vehicle or a policy"
         )
     hint = close_match(what, [name for shipped in names.values() for name in shipped])
-    raise InputError(f"{what}: no such name or file{hint}; quadjax show lists the names")
+    name = what or repr(what)
+    raise InputError(f"{name}: no such name or file{hint}; quadjax show lists the names")
 
 
 def text_of(what: str, overrides: Sequence[str] = (), model_name: str | None = None) -> str:
@@ -128,7 +123,7 @@ def keys_text(kind: str) -> str:
 
 def write_vehicle(path: Path, data: Sequence[str]) -> None:
     """Write the file of a vehicle from data of its airframe, ``KEY=VALUE``."""
-    airframe = validate(Airframe, parse_overrides(data), "data")
+    airframe = validate(Airframe, parse_overrides(data), OVERRIDES)
     motor = {name: float(f"{value:.6g}") for name, value in airframe.motor_constants().items()}
     width = round(airframe.width, 4)
     drone = VehicleFile(path.stem, {"motor": motor}, mass=airframe.mass, width=width)
@@ -138,9 +133,8 @@ def write_vehicle(path: Path, data: Sequence[str]) -> None:
 
 def write_track(path: Path, settings: Sequence[str]) -> None:
     """Write the file of a random track from settings, ``KEY=VALUE``."""
-    tree = {"track": {"generate": parse_overrides(settings)}}
-    tree = generated(tree, Sources("settings", {}))
-    gates = {"name": path.stem, "rules": tree["rules"], "gates": tree["track"]["gates"]}
+    values = generate(validate(RandomTrack, parse_overrides(settings), OVERRIDES))
+    gates = {"name": path.stem, "rules": values["rules"], "gates": values["gates"]}
     head = "# World NED: meters, z down; yaw in degrees; size: width and height in meters."
     write_text(path, f"# Random track: {' '.join(settings)}\n{head}\n{to_yaml(gates)}")
 

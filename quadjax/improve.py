@@ -177,7 +177,7 @@ def improve(setting: Setting, folder: Path, report: Report) -> str:
     """
     if setting.logs:
         model = learn(setting, folder, report)
-        result = f"rejected: {model.refused}" if model.refused else "accepted; policy.npz"
+        result = f"rejected: {model.rejection}" if model.rejection else "accepted; policy.npz"
         text = f"{changes(Model.of(setting.race), model)}\n\n{result}"
     else:
         rounds = fly_rounds(setting, folder, report)
@@ -199,7 +199,7 @@ def learn(setting: Setting, folder: Path, report: Report) -> Model:
     if not (folder / "model.json").exists():
         check_speeds(logs, before.model, setting.fit.logs.max_scale_error)
     model = _refitted(setting, before, setting.logs, folder, report)
-    if not model.refused:
+    if not model.rejection:
         after = dataclasses.replace(before, model=model)
         Policy.load(tune(setting, after, logs, folder, report)).save(folder / "policy.npz")
     return model
@@ -243,7 +243,7 @@ def _round(setting: Setting, number: int, folder: Path, before: Round, report: R
     margin = margin_of(race, list(recent.values()), hit)
     after = dataclasses.replace(
         before,
-        model=before.model if refitted.refused else refitted,
+        model=before.model if refitted.rejection else refitted,
         margin=margin,
         logs=(*before.logs, *recent),
         flown=flown,
@@ -251,7 +251,7 @@ def _round(setting: Setting, number: int, folder: Path, before: Round, report: R
         computing=refitted.seconds,
         fitted=len(recent),
     )
-    if not refitted.refused or margin > before.margin:
+    if not refitted.rejection or margin > before.margin:
         logs = [read_log(file, setting.fit.logs) for file in before.logs] + [*recent.values()]
         policy = tune(setting, after, logs, folder, report)
         seconds = float(read_summary(folder / "training")["seconds"])
@@ -315,7 +315,7 @@ def _refitted(
                 raise
             nothing: dict[str, float] = {}
             model = dataclasses.replace(present, before=nothing, after=nothing, seconds=0.0)
-            model = dataclasses.replace(model, refused=str(error))
+            model = dataclasses.replace(model, rejection=str(error))
         return dataclasses.asdict(model)
 
     path = folder / "model.json"
@@ -393,11 +393,13 @@ def rounds_table(rounds: Sequence[Round], check: dict[str, Flown]) -> str:
         model, state, error = done.refitted, "none", "-"
         assert model is not None
         if model.before:
-            state, error = "rejected" if model.refused else "accepted", f"{model.change:+.0%}"
+            state, error = "rejected" if model.rejection else "accepted", f"{model.change:+.0%}"
         cells = (f"{flight:.0f}", state, error, f"{computing:.0f}")
         rows.append((str(number), *_cells(done.flown), *cells))
         out = len(done.flown["totals"]) - done.fitted
         notes += [f"round {number}: {out} logs left out, too short or rejected"] * bool(out)
-        notes += [f"round {number}: the model is rejected: {model.refused}"] * bool(model.refused)
+        notes += [f"round {number}: the model is rejected: {model.rejection}"] * bool(
+            model.rejection
+        )
     rows += [(f"check, {name}", *_cells(flown), "", "", "", "") for name, flown in check.items()]
     return "\n".join([table(rows), "", f"crashes in the rounds: {crashes}", *notes])

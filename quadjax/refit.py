@@ -54,7 +54,7 @@ class Model:
         before: root mean square errors of the model before it on the held-out flights, by quantity;
             without the propeller speeds where the logs have no commanded ones.
         after: those of models that are fitted without the flight that they predict.
-        refused: why it is not accepted; "" if it is.
+        rejection: why it is not accepted; "" if it is.
         seconds: of computing.
     """
 
@@ -63,7 +63,7 @@ class Model:
     battery: BatteryFit | None = None
     before: dict[str, float] = dataclasses.field(default_factory=dict)
     after: dict[str, float] = dataclasses.field(default_factory=dict)
-    refused: str = ""
+    rejection: str = ""
     seconds: float = 0.0
 
     @classmethod
@@ -115,6 +115,8 @@ class Model:
         """The model of ``dataclasses.asdict``; errors name ``path``, the file of ``values``."""
         try:
             battery = values["battery"] and BatteryFit(**values["battery"])
+            names = {"refused": "rejection"}  # keys of earlier versions
+            values = {names.get(key, key): value for key, value in values.items()}
             return cls(**(values | {"battery": battery}))
         except (KeyError, TypeError):
             raise InputError(
@@ -187,7 +189,7 @@ def refit(
         before[SPEEDS], after[SPEEDS] = speeds
     seconds = round(time.monotonic() - started, 1)
     compared = dataclasses.replace(model, before=before, after=after, seconds=seconds)
-    return dataclasses.replace(compared, refused=refusal(compared))
+    return dataclasses.replace(compared, rejection=rejection(compared))
 
 
 def _errors(
@@ -229,7 +231,7 @@ def _speed_errors(
     return before, after
 
 
-def refusal(model: Model) -> str:
+def rejection(model: Model) -> str:
     """Why a model with its errors on held-out flights is rejected; "" if it is not."""
     change = model.change
     if not change <= -LEAST_GAIN:

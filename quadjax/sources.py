@@ -11,7 +11,7 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, read_npz
 from quadjax.core.folders import kind_of
-from quadjax.core.resources import find_policy
+from quadjax.core.resources import POLICY_FILE, find_policy, is_run, policy_names
 from quadjax.evaluation.evaluate import evaluate
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log
@@ -21,7 +21,7 @@ from quadjax.flights import files, gates
 from quadjax.flights.flight import Flight
 from quadjax.policy.file import FORMATS as POLICY_FORMATS
 from quadjax.policy.file import Policy
-from quadjax.policy.race import policy_path, race_of_policy
+from quadjax.policy.race import race_of_policy
 from quadjax.race.track import TrackSection
 from quadjax.training.result import is_finished
 
@@ -58,7 +58,11 @@ def load_flights(
         InputError: no such file, an unknown kind, or one that cannot be read.
     """
     path = Path(source)
-    path = find_policy(source) if policy_path(path) == path else path
+    path = path if is_run(path) else find_policy(source)
+    if not path.exists() or not str(source):
+        allowed = f"the folder of a run, a file ({', '.join(SUFFIXES)}), or a shipped policy"
+        names = ", ".join(policy_names())
+        raise InputError(f"{source or repr(source)}: no such file, allowed: {allowed}: {names}")
     name = name or (path.resolve().name if path.is_dir() else path.stem)
     is_policy = path.is_dir()
     path = _policy_of_run(path) if is_policy else path
@@ -79,9 +83,9 @@ def load_flights(
 
 def _policy_of_run(folder: Path) -> Path:
     """The best policy of a run, or, while it trains, the newest."""
-    policy, kind = policy_path(folder), kind_of(folder)
-    if policy == folder:
-        raise InputError(f"{folder}: no policy.npz, expected the folder of a training run")
+    policy, kind = folder / POLICY_FILE, kind_of(folder)
+    if not is_run(folder):
+        raise InputError(f"{folder}: no {POLICY_FILE}, expected the folder of a training run")
     if kind not in (None, "training"):
         raise InputError(f"{folder}: holds files of {kind}, expected the folder of a training run")
     newest = folder / "policy_last.npz"

@@ -93,7 +93,7 @@ def call(command: Callable[..., int | None], name: str, argv: Sequence[str]) -> 
         InputError: an unknown option, a missing argument, or a value that is not allowed.
     """
     with loading():
-        from cyclopts import CycloptsError
+        from cyclopts import CycloptsError, MissingArgumentError
 
         from quadjax.cli.options import SET_OPTIONS, check_outputs
         from quadjax.cli.output import ARGUMENTS
@@ -109,6 +109,9 @@ def call(command: Callable[..., int | None], name: str, argv: Sequence[str]) -> 
         _, bound, _ = app.parse_args(list(argv), exit_on_error=False, print_error=False)
     except CycloptsError as error:
         text = str(error).removesuffix(".")
+        if isinstance(error, MissingArgumentError) and error.argument is not None:
+            name = error.argument.name
+            text = f"{name}: expected a value after it" if name in argv else f"{name} is missing"
         if error.argument is not None and error.argument.name not in text:
             text = f"Invalid value for {error.argument.name}: {text}"
         raise InputError(f"{text} (try --help)") from error

@@ -127,7 +127,6 @@ def evaluate(
         from quadjax.evaluation.conditions import read_conditions
         from quadjax.evaluation.evaluate import evaluate as fly
         from quadjax.evaluation.evaluate import joined
-        from quadjax.policy.race import policy_path
 
     if flights is not None:
         opt.refuse_others("with --flights", "flights", "logs", "report", "overwrite")
@@ -148,7 +147,7 @@ def evaluate(
         for name in ("start", "deterministic"):
             if all(getattr(condition, name) is not None for condition in listed.conditions):
                 opt.refuse(f"with --conditions {conditions}", name)
-    entries = [_entry(policy_path(file), config, overrides) for file in files]
+    entries = [_entry(file, config, overrides) for file in files]
     common: dict[str, Any] = {"laps": laps, "gates": gates, "seconds": seconds, "runs": runs}
     common |= {"start": start, "seed": seed, "plant": plant, "plants": plants, "body_radius": body}
     with steps() as show:

@@ -7,7 +7,6 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
-from quadjax.core.files import check_file
 from quadjax.core.interruptions import loading
 from quadjax.export.names import check_new_folder, symbol_name
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS
@@ -56,7 +55,6 @@ def export(
         overwrite: Replace an earlier export; write to a folder that no export made, and
             replace its files of the same names.
     """
-    check_file(policy)
     check_new_folder(output, symbol_name(name, policy.name), overwrite)
     with loading():
         from quadjax.export.convert import export_c

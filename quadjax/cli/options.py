@@ -18,7 +18,7 @@ from cyclopts import Group, Parameter, Token
 
 from quadjax.core.errors import InputError, writing
 from quadjax.core.files import check_file
-from quadjax.core.resources import find_policy, preset_names
+from quadjax.core.resources import policy_file, preset_names
 from quadjax.core.sections import FOLDER_NAME, MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
 
 if TYPE_CHECKING:
@@ -87,20 +87,19 @@ def _run_name(_: object, tokens: Sequence[Token]) -> str:
     return text
 
 
-def _policy_file(_: object, tokens: Sequence[Token]) -> Path:
-    if not tokens[0].value:
-        raise ValueError("'', allowed: a policy file, or the name of a shipped one")
-    return find_policy(tokens[0].value)
+def path_to(what: str, convert: Callable[[str], Path] = Path) -> Converter:
+    """A converter of text, which is not empty, to the path of what is allowed."""
+
+    def read(_: object, tokens: Sequence[Token]) -> Path:
+        if not tokens[0].value:
+            raise ValueError(f"'', allowed: {what}")
+        return convert(tokens[0].value)
+
+    return read
 
 
-def _path(_: object, tokens: Sequence[Token]) -> Path:
-    if not tokens[0].value:
-        raise ValueError("'', allowed: the name of a folder")
-    return Path(tokens[0].value)
-
-
-def _folder(kind: object, tokens: Sequence[Token]) -> Path:
-    if (path := _path(kind, tokens)).is_file():
+def _folder(text: str) -> Path:
+    if (path := Path(text)).is_file():
         raise ValueError(f"{path} is a file, allowed: a folder")
     return path
 
@@ -111,13 +110,19 @@ def config_of(folder: str) -> Parameter:
     return Parameter(help=f"A name ({names}) or a YAML file.")
 
 
-def several(convert: Converter) -> Parameter:
-    """The parameter of an option that takes several values, each read by a converter."""
+def several(convert: Converter, at_once: bool = True, metavar: str | None = None) -> Parameter:
+    """The parameter of an option that takes several values, each read by a converter.
+
+    Args:
+        convert: reads a value.
+        at_once: whether they follow one another; else the option is repeated.
+        metavar: of the help.
+    """
 
     def convert_all(kind: object, tokens: Sequence[Token]) -> tuple[Any, ...]:
         return tuple(convert(kind, [token]) for token in tokens)
 
-    return Parameter(converter=convert_all, consume_multiple=True)
+    return Parameter(converter=convert_all, consume_multiple=at_once, metavar=metavar)
 
 
 Flag = Annotated[bool, Parameter(show_default=False)]
@@ -136,15 +141,18 @@ Overrides = Annotated[
     str, Parameter(name="KEY=VALUE", help="Changes of keys of the config, and +PART for parts.")
 ]
 RunName = Annotated[str, Parameter(converter=_run_name, metavar="NAME", help="Name of the folder.")]
-PolicyFile = Annotated[Path, Parameter(converter=_policy_file, metavar="FILE.npz")]
+A_POLICY = path_to("a policy file, the folder of a run, or a shipped policy", policy_file)
+PolicyFile = Annotated[Path, Parameter(converter=A_POLICY, metavar="FILE.npz")]
+PolicyFiles = Annotated[tuple[Path, ...], several(A_POLICY, at_once=False, metavar="FILE.npz")]
 PlantConfig = Annotated[str, config_of("plant"), Parameter(metavar="CONFIG")]
 FitConfig = Annotated[str, config_of("fit"), Parameter(metavar="FIT.yaml")]
 Race = Annotated[str | None, Parameter(metavar="CONFIG")]
-FolderOrFile = Annotated[Path, Parameter(converter=_path)]
-Folder = Annotated[Path, Parameter(converter=_folder, metavar="DIR")]
-RunsFolder = Annotated[Path, Parameter(converter=_folder, metavar="DIR", help="Write to DIR/NAME.")]
-PolicyFiles = tuple[PolicyFile, ...]
-InputFile = Annotated[Path, Parameter(metavar="FILE")]
+Export = Annotated[Path, Parameter(converter=path_to("the folder of quadjax export, or a file"))]
+Folder = Annotated[
+    Path, Parameter(converter=path_to("the name of a folder", _folder), metavar="DIR")
+]
+RunsFolder = Annotated[Folder, Parameter(help="Write to DIR/NAME.")]
+InputFile = Annotated[Path, Parameter(converter=path_to("a file"), metavar="FILE")]
 Seed = Annotated[int, Parameter(converter=whole(0, MAX_SEED))]
 Seeds = Annotated[tuple[int, ...], several(whole(0, MAX_SEED)), Parameter(metavar="N ...")]
 Laps = Annotated[int, Parameter(converter=whole(1, MAX_LAPS))]

@@ -14,7 +14,7 @@ from quadjax.core.interruptions import loading
 
 
 def replay(
-    log: Annotated[Path, Parameter(name="LOG")],
+    log: Annotated[opt.InputFile, Parameter(name="LOG")],
     /,
     *,
     policy: opt.PolicyFile | None = None,

@@ -34,7 +34,7 @@ Probability = Annotated[float, Parameter(converter=opt.number(0.0, 1.0), metavar
 
 
 def sil(
-    source: Annotated[opt.FolderOrFile, Parameter(name="DIR|POLICY")],
+    source: Annotated[opt.Export, Parameter(name="DIR|POLICY")],
     /,
     *overrides: opt.Overrides,
     target: Target = DEFAULT_TARGET,

@@ -44,7 +44,7 @@ def train(
     Example: quadjax train e2e seed=3 run.steps=5000000 --name third
 
     Args:
-        resume: Continue from the last checkpoint.
+        resume: Continue from the last checkpoint. With --name there has to be a run of that name.
         overwrite: Remove an earlier run of the same name first.
         fine_tune: Continue from a policy and its critic, with all schedules at their ends.
         seeds: Train with each of these seeds and compare the runs.
@@ -57,6 +57,7 @@ def train(
         from quadjax.learners.loop import NonFiniteError
         from quadjax.training import run
         from quadjax.training.fine_tuning import check_policy, fine_tuning
+        from quadjax.training.folder import check_started
 
     opt.exclude("overwrite", "resume")
     named = [*overrides, *([f"name={name}"] if name else [])]
@@ -66,6 +67,8 @@ def train(
         files = [word for word in (config, *named) if word not in words]
         if len(set(seeds)) < len(seeds):
             raise InputError(f"--seeds has a seed twice: {' '.join(map(str, seeds))}")
+        if seed := [word for word in words if word.startswith("seed=")]:
+            raise InputError(f"{seed[0]} has no effect with --seeds {' '.join(map(str, seeds))}")
         for text, file in train_seeds(files, words, list(seeds), runs, output, figure, overwrite):
             if text:
                 print(text)
@@ -77,6 +80,8 @@ def train(
         check_policy(settings, fine_tune)
         settings = fine_tuning(settings, fine_tune)
     folder = output / settings.name
+    if resume and name:
+        check_started(folder)
     try:
         done = run.train(settings, folder, resume=resume, overwrite=overwrite, started=STARTED)
     except NonFiniteError as error:

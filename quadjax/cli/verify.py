@@ -15,7 +15,7 @@ from quadjax.export.names import POLICY_FILE, report_of
 
 
 def verify(
-    folder: Annotated[opt.FolderOrFile, Parameter(name="DIR")],
+    folder: Annotated[opt.Export, Parameter(name="DIR")],
     /,
     *,
     vectors: Annotated[int, Parameter(converter=opt.whole(100, 10**6))] = 5_000,

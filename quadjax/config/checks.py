@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from quadjax.config.schema import Config, Schedule
-from quadjax.core.errors import InputError, close_match, short
+from quadjax.core.errors import InputError, close_match, prefixed, short
 from quadjax.core.sections import BadValue, fields_at, refuse, value_at
 from quadjax.race.layout import LONGEST
 from quadjax.race.observations import ACTUATORS, history_names
@@ -51,9 +51,10 @@ def with_body(config: Config, radius: float) -> Config:
     Raises:
         InputError: a radius for which an opening is too small.
     """
-    rules = config.rules.replace(body_radius=radius, gate_test="interpolated")
-    config = config.replace(rules=rules)
-    check(config)
+    with prefixed(f"body_radius={radius:g}"):
+        rules = config.rules.replace(body_radius=radius, gate_test="interpolated")
+        config = config.replace(rules=rules)
+        check(config)
     return config
 
 
@@ -147,7 +148,7 @@ def _check_is_default(config: Config, key: str, reason: str) -> None:
     value = getattr(functools.reduce(getattr, location, config), name)
     default = fields_at(Config, location)[name].default
     if value != default:
-        refuse(key, value, f"{'null' if default is None else short(default)} {reason}")
+        refuse(key, value, f"{short(default)} {reason}")
 
 
 def check_drone(config: Config) -> None:

@@ -50,7 +50,8 @@ def config_layers(path: Path, parts: Sequence[str], overrides: Sequence[str]) ->
         files.append((path, {"name": "_".join([names[-1], *stems])}))
     layers = [x for file, tree in files for x in _with_files(file, tree, [Path(file).parent])]
     over = parse_overrides([_expand(override) for override in overrides])
-    over_layers = _with_files(OVERRIDES, over, [Path(), path.parent])
+    keys = [override.partition("=")[0] for override in overrides]
+    over_layers = _with_files(OVERRIDES, over, [Path(), path.parent], keys)
     defaults: list[Layer] = []
     for section, name in DEFAULTS.items():  # but of a section whose values a file has itself
         keys = {key for _, tree in files for key in _section(tree, section)}
@@ -79,11 +80,13 @@ def _find_part(name: str, config: Path, presets: Sequence[str]) -> Path:
     raise InputError(f"+{name}: no such part{hint}; parts of quadjax: {listed}")
 
 
-def _with_files(source: Path | str, tree: Tree, folders: Sequence[Path]) -> list[Layer]:
+def _with_files(
+    source: Path | str, tree: Tree, folders: Sequence[Path], keys: Sequence[str] = ()
+) -> list[Layer]:
     """The layer of a file, above those of the vehicle and track files that it names.
 
     In the layer, the names of ``.npz`` files next to a file are paths, and nested schedules have
-    dotted keys. ``folders`` are those of the files that it names.
+    dotted keys. ``folders`` are those of the files that it names; ``keys`` those of overrides.
     """
     for section, key in DATA_FILES:
         name = _section(tree, section).get(key)
@@ -95,11 +98,15 @@ def _with_files(source: Path | str, tree: Tree, folders: Sequence[Path]) -> list
     for section in DEFAULTS:
         named = tree.get(section)
         values = {"file": named} if isinstance(named, str) else _section(tree, section)
+        if section in tree and not isinstance(named, str | dict):
+            allowed = f"a file, one of {', '.join(preset_names(f'{section}s'))}, or a mapping"
+            raise InputError(f"{source}: {section} is {short(named)}, allowed: {allowed}")
         if (file := values.get("file")) is None:
             continue
+        key = section if isinstance(named, str) or section in keys else f"{section}.file"
         if not isinstance(file, str):
-            raise InputError(f"{section}.file is {short(file)}, allowed: name of a file")
-        with prefixed(f"{source}: {section}.file"):
+            raise InputError(f"{source}: {key} is {short(file)}, allowed: name of a file")
+        with prefixed(f"{source}: {key}"):
             path = find_file(file, folders, f"{section}s")
         of_file = file_values(section, path)
         if "model" in values:

@@ -87,7 +87,7 @@ def generated(tree: Tree, sources: Sources) -> Tree:
         if key in track:
             raise InputError(f"{path}: track.{key} has no effect with track.generate")
     settings = validate(RandomTrack, track["generate"], sources, "track.generate.")
-    with prefixed(path):
+    with prefixed(f"{path}: track.generate"):
         values = generate(settings)
     name = track.get("name") or f"random_{settings.gates}_{settings.seed}"
     track = {**track, "generate": None, "name": name, "gates": values["gates"]}

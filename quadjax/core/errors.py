@@ -2,6 +2,7 @@
 
 import contextlib
 import difflib
+import json
 import os
 import re
 import sys
@@ -24,7 +25,12 @@ class InputError(ValueError):
 
 
 def short(value: object, limit: int = 60, text: Callable[[object], str] = repr) -> str:
-    """A value as text of a limited length, also a number with thousands of digits."""
+    """A value as text of a limited length, also a number with thousands of digits.
+
+    ``null``, ``true`` and ``false`` are as in a config.
+    """
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
     try:
         whole = text(list(value) if isinstance(value, tuple) else value)
     except ValueError:
@@ -114,7 +120,7 @@ def user_error(error: BaseException) -> str:
 
 def as_options(text: str) -> str:
     """A message of a function with its arguments as the options of the command line."""
-    text = text.replace("config=CONFIG", "--race CONFIG")
+    text = text.replace("config=CONFIG", "--race CONFIG").replace("body_radius=", "--body ")
     names = r"\b(allow_\w+|overwrite|resume)=True"
     return re.sub(names, lambda word: f"--{word[1].replace('_', '-')}", text)
 

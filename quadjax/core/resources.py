@@ -13,6 +13,7 @@ _BUNDLED = _PACKAGE / "configs"
 
 CONFIGS = _BUNDLED if _BUNDLED.is_dir() else _PACKAGE.parent / "configs"
 PRETRAINED = _PACKAGE / "pretrained"
+POLICY_FILE = "policy.npz"  # in the folder of a training run
 
 
 def preset_names(folder: str = "") -> list[str]:
@@ -76,13 +77,36 @@ def find_file(name: str, folders: Sequence[Path], kind: str = "") -> Path:
 
 
 def find_policy(name: Path | str) -> Path:
-    """The path of a policy: a file, or a shipped one by its name, with or without ``.npz``."""
+    """The path of a policy: a file, that of a run's folder, or a shipped one by its name."""
     path = Path(name)
+    if is_run(path):
+        return path / POLICY_FILE
     shipped = PRETRAINED / path.with_suffix(".npz") if path.name else path
     bare = path.name == str(path) and path.suffix in ("", ".npz")
     with reading(name):
         hidden = path.is_dir() or not path.exists()
         return shipped if bare and hidden and shipped.is_file() else path
+
+
+def policy_file(name: Path | str) -> Path:
+    """The path of a policy, as ``find_policy``.
+
+    Raises:
+        InputError: no such file, or the folder of no run.
+    """
+    path = find_policy(name)
+    if path.exists() and not path.is_dir():
+        return path
+    fault = f"no {POLICY_FILE} in this folder" if path.is_dir() else "no such file"
+    allowed = (
+        f"a policy file, the folder of a run, or a shipped policy: {', '.join(policy_names())}"
+    )
+    raise InputError(f"{str(name) or repr(name)}: {fault}, allowed: {allowed}")
+
+
+def is_run(folder: Path) -> bool:
+    """Whether a path is the folder of a training run that has written a policy."""
+    return (folder / POLICY_FILE).is_file()
 
 
 def policy_names() -> list[str]:

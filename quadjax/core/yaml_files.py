@@ -206,6 +206,8 @@ def parse_overrides(overrides: Sequence[str]) -> Tree:
         parts = key.split(".")
         if not equals or not all(parts) or len(parts) > MAX_DEPTH:
             raise InputError(f"{short(override)} is not of the form key=value")
+        if not text.strip():
+            raise InputError(f"{key}= has no value, allowed: a value after the =, null for none")
         value: Any = parse_yaml(text, key)
         for part in reversed(parts):
             value = {part: value}

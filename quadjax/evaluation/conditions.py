@@ -183,7 +183,7 @@ class Conditions(Section):
         if drawn.drawn and drawn.replace(tracks=None) not in [
             race.randomization for race in listed.values()
         ]:
-            yield Condition(label="own"), base.replace(randomization=drawn)
+            yield Condition(label="config"), base.replace(randomization=drawn)
 
 
 def read_conditions(

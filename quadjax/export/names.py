@@ -71,12 +71,14 @@ def report_of(folder: Path) -> Path:
     Raises:
         InputError: no such folder, or one that is no complete export.
     """
-    check_kind(folder, KIND)
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder of quadjax export")
+        fault = "is a file" if folder.exists() else "no such folder"
+        raise InputError(f"{folder}: {fault}, expected a folder of quadjax export, or a .qjp file")
+    check_kind(folder, KIND)
     reports = sorted(folder.glob(f"*{REPORT}"))
     if len(reports) != 1:
-        raise InputError(f"{folder}: expected one *{REPORT}, found {len(reports)}")
+        allowed = f"expected one *{REPORT}, as in a folder of quadjax export"
+        raise InputError(f"{folder}: {allowed}, found {len(reports)}")
     for name in (POLICY_FILE, CONFIG_FILE):
         check_file(folder / name)
     return reports[0]

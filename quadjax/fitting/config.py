@@ -21,7 +21,7 @@ from quadjax.core.sections import (
     model_validator,
 )
 from quadjax.core.yaml_files import Tree, parse_overrides
-from quadjax.fitting.formats import QUANTITIES, RPM
+from quadjax.fitting.formats import ALLOWED, FORMATS, QUANTITIES, RPM
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.vehicle_file import VehicleFile
 
@@ -89,7 +89,9 @@ class LogsConfig(Section):
     )
 
     @model_validator(mode="after")
-    def _widths(self) -> Self:
+    def _check(self) -> Self:
+        if self.format not in FORMATS and ":" not in self.format:
+            raise ValueError(f"logs.format is {self.format!r}, allowed: {ALLOWED}")
         for quantity, names in self.columns.items():
             if quantity not in QUANTITIES:
                 raise ValueError(

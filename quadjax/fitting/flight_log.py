@@ -90,7 +90,7 @@ def find_logs(config: LogsConfig, folder: Path) -> list[Path]:
         found = _expand(Path(), pattern) or _expand(folder, pattern)
         if not found:
             hint = STANDIN_HINT if STANDIN_LOGS in Path(pattern).parts else ""
-            raise InputError(f"{pattern}: no such file (logs.files){hint}")
+            raise InputError(f"{pattern or repr(pattern)}: no such file (logs.files){hint}")
         paths += [path for path in found if path not in paths]
     if not paths:
         raise InputError("logs.files is empty, expected at least one flight log")

@@ -275,23 +275,21 @@ FORMATS: dict[str, LogFormat] = {
     ),
     "ulog": LogFormat(ulog.COLUMNS, units={"time": "us"}, read=ulog.read_ulog),
 }
+ALLOWED = f"{', '.join(FORMATS)} or 'module:OBJECT'"
 
 
 def log_format(reference: str) -> LogFormat:
     """A format by name, or a user's own (``"module:OBJECT"``).
 
     Raises:
-        InputError: no such format.
+        InputError: an object that cannot be imported, or is no format.
     """
     if reference in FORMATS:
         return FORMATS[reference]
-    allowed = f"{', '.join(FORMATS)} or 'module:OBJECT'"
-    if ":" not in reference:
-        raise InputError(f"logs.format is {reference!r}, allowed: {allowed}")
-    found = load_object(reference, "logs.format")
-    if not isinstance(found, LogFormat):
-        raise InputError(f"logs.format is {reference!r}: not a LogFormat; allowed: {allowed}")
-    return found
+    form = load_object(reference, "logs.format")
+    if not isinstance(form, LogFormat):
+        raise InputError(f"logs.format is {reference!r}: not a LogFormat; allowed: {ALLOWED}")
+    return form
 
 
 def paparazzi_columns(quantities: Quantities) -> Quantities:

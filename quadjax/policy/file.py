@@ -28,7 +28,7 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite, read_layers, read_npz, write_npz
-from quadjax.core.resources import find_policy, policy_names
+from quadjax.core.resources import policy_file
 from quadjax.core.sections import LARGEST, Field, Section, validate
 from quadjax.policy import inference
 from quadjax.policy.network_files import SUFFIXES, Layers
@@ -118,9 +118,9 @@ class Policy:
         """Read and check a policy file, or import one of another project.
 
         Args:
-            path: a policy file (``.npz``), or the name of a shipped one; or a model of
-                Stable-Baselines3 (``.zip``), a PyTorch state dict (``.pt``, ``.pth``) or C arrays
-                (``.c``, ``.h``), which need a config. Nothing in them is executed.
+            path: a policy file (``.npz``), the folder of a run, or the name of a shipped policy;
+                or a model of Stable-Baselines3 (``.zip``), a PyTorch state dict (``.pt``, ``.pth``)
+                or C arrays (``.c``, ``.h``), which need a config. Nothing in them is executed.
             config: of the race that a file of another project was trained in: a config, a preset's
                 name or a YAML file. A policy file does not need it.
             activation: of an imported network whose file has none, "relu" or "tanh".
@@ -129,10 +129,7 @@ class Policy:
         Raises:
             InputError: a missing, damaged or inconsistent file, in one line.
         """
-        path = find_policy(path)
-        if path.parent == Path() and not path.exists():
-            names = ", ".join(policy_names())
-            raise InputError(f"{path}: no such file, and no shipped policy: {names}")
+        path = policy_file(path)
         if path.suffix.lower() in SUFFIXES:
             from quadjax.policy.foreign import policy_of
 

@@ -63,8 +63,8 @@ def fit_race(
     """
     if policy.vehicle != choices.model.name:
         raise InputError(
-            f"{name}: a policy for the {policy.vehicle} vehicle; vehicle.model of the config is "
-            f"{choices.model.name}"
+            f"{name}: a policy for vehicle.model={policy.vehicle}, the race has vehicle.model="
+            f"{choices.model.name}, allowed: a race of {policy.vehicle}, such as the policy's own"
         )
     if len(policy.command_low) != choices.model.action_size:
         raise InputError(

@@ -95,9 +95,3 @@ def _residual(policy: Policy) -> list[str]:
         return []
     named = policy.source["residual"]
     return [override("vehicle.residual", str(named) if named else None)]
-
-
-def policy_path(path: Path | str) -> Path:
-    """The policy file of a run's folder, or the path itself."""
-    folder = Path(path)
-    return folder / "policy.npz" if (folder / "policy.npz").is_file() else folder

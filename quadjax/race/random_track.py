@@ -110,7 +110,7 @@ def generate(track: RandomTrack) -> Tree:
             limit = float(np.ceil(np.abs(places).max() + MARGIN))
             return {"gates": gates, "rules": {"position_limit": limit}}
     raise InputError(
-        f"track.generate: found no track with gates {track.gates}, leg {list(track.leg)} and "
+        f"found no track with gates {track.gates}, leg {list(track.leg)} and "
         f"turn_deg {track.turn_deg:g}, allowed: larger turn_deg, a wider range of leg, or fewer "
         "gates"
     )

@@ -15,7 +15,14 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, prefixed
 from quadjax.core.resources import find_file
 from quadjax.core.sections import validate, value_at
-from quadjax.core.yaml_files import flatten, merge_trees, override, parse_overrides, read_yaml
+from quadjax.core.yaml_files import (
+    Layer,
+    flatten,
+    merge_layers,
+    override,
+    parse_overrides,
+    read_yaml,
+)
 from quadjax.plant.config import load_plant_config
 from quadjax.sweeps.schema import ENTRIES, MAX_TRIALS, Distribution, SweepFile, Value, stored
 
@@ -119,11 +126,11 @@ def load_sweep(path: Path | str, changes: Sequence[str] = ()) -> Sweep:
             together; an unreadable file.
     """
     path = Path(path)
-    trees = [read_yaml(path), parse_overrides(changes)]
-    for tree in trees:
+    layers: list[Layer] = [(path, read_yaml(path)), ("overrides", parse_overrides(changes))]
+    for _, tree in layers:
         if isinstance(tree.get("space"), dict):
             tree["space"] = flatten(tree["space"], ENTRIES)
-    file = validate(SweepFile, merge_trees(*trees), str(path))
+    file = validate(SweepFile, *merge_layers(layers, path))
     with prefixed(str(path)):
         name, *parts = file.config.split(" +")
         base = find_file(name, [path.parent])

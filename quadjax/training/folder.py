@@ -4,7 +4,7 @@ from pathlib import Path
 
 from quadjax.config.loading import load_config, names_of_code
 from quadjax.config.schema import Config
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import check_file, write_bytes, write_text
 from quadjax.core.folders import check_kind, kind_of, remove_files
 from quadjax.core.sections import value_at
@@ -71,6 +71,18 @@ def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) 
         write_bytes(folder / INPUTS[key], content)
     write_text(folder / "config.yaml", _with_inputs(config, contents).to_yaml())
     return _with_inputs(config, contents, folder)
+
+
+def check_started(folder: Path) -> None:
+    """Raise an ``InputError`` if no training has begun in a folder that is named to resume it."""
+    if any((folder / file).exists() for file in FILES):
+        return
+    names = sorted(path.parent.name for path in folder.parent.glob("*/config.yaml"))
+    hint = close_match(folder.name, names)
+    raise InputError(
+        f"{folder}: no run to resume{hint}; runs in {folder.parent}: {', '.join(names) or 'none'}; "
+        "without resume=True a new one starts"
+    )
 
 
 def _inputs(config: Config) -> dict[str, bytes]:

@@ -38,6 +38,8 @@ from quadjax.training.inputs import check_functions, check_learner
 from quadjax.training.progress import TrainingProgress
 from quadjax.training.result import MetricsFile, Run, check_tensorboard, is_finished, write_summary
 from quadjax.training.score import FEW_STEPS, gap, make_flights, no_lap
+from quadjax.vehicle.registry import base_model
+from quadjax.vehicle.summary import implausible
 
 PATIENCE = 5.0  # s to wait for a compilation after Ctrl-C before the run ends without saving
 POLL = 0.2  # s
@@ -94,6 +96,10 @@ def train(
             count = getattr(config.learner, "num_envs", None)
             if display is not None and count is not None:
                 display.note(f"{config.name}: {count} environments (learner.num_envs)")
+            if display is not None:
+                vehicle = config.vehicle
+                for text in implausible(base_model(vehicle.model), vehicle.constants):
+                    display.note(f"warning: {vehicle.name}: {text}")
             with interruptions() as stop, display or contextlib.nullcontext():
                 _run(job, folder, resume, started, display, stop, enough)
         return Run.load(folder, config)

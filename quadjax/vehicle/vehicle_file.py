@@ -9,7 +9,13 @@ from quadjax.core.errors import InputError, short
 from quadjax.core.files import write_text
 from quadjax.core.resources import find_file
 from quadjax.core.yaml_files import Tree, read_tree_with_bases, to_yaml
-from quadjax.vehicle.constants import constant_names, from_values, rotor_names, values_of
+from quadjax.vehicle.constants import (
+    constant_names,
+    declarations,
+    from_values,
+    rotor_names,
+    values_of,
+)
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.registry import MODELS
@@ -18,7 +24,7 @@ from quadjax.vehicle.residual import finite_number
 KEYS = ("name", "mass", "width", "fitted_speed", "model", "rotors")  # in addition to the models
 ROTORS = ("front_left", "front_right", "rear_right", "rear_left")  # the order of Rotors
 TURNING = {"ccw": 1.0, "cw": -1.0}  # seen from above
-NUMBERS = ("mass", "width", "fitted_speed")
+UNITS = {"mass": "kg", "width": "m", "fitted_speed": "m/s"}  # of the numbers that are no constants
 
 
 @dataclass(frozen=True)
@@ -88,8 +94,8 @@ def read_vehicle(name: str, folder: Path = Path()) -> VehicleFile:
         model: {key: finite_number(path, constants, key, f"{model}.") for key in constants}
         for model, constants in values["models"].items()
     }
-    known = [key for key in NUMBERS if values.get(key) is not None]
-    numbers = {key: finite_number(path, values, key) for key in known}
+    present = [key for key in UNITS if values.get(key) is not None]
+    numbers = {key: finite_number(path, values, key) for key in present}
     model = str(values["model"]) if "model" in values else None
     return VehicleFile(str(values["name"]), models, model, **numbers, path=path)
 
@@ -169,7 +175,9 @@ def _text(
     notes: Mapping[str, Mapping[str, str]] | None,
 ) -> str:
     """The text of a vehicle file, with the constants of four rotors as a list."""
-    lines = [*(f"# {line}" for line in comment.splitlines()), *to_yaml(keys).splitlines()]
+    lines = [f"# {line}" for line in comment.splitlines()]
+    for key, line in zip(keys, to_yaml(keys).splitlines(), strict=True):
+        lines.append(f"{line}  # {UNITS[key]}" if key in UNITS else line)
     tables = {model: _names_by_key(values) for model, values in models.items()}
     if any(len(names) > 1 for table in tables.values() for names in table.values()):
         lines.append(f"rotors: [{', '.join(ROTORS)}]")
@@ -177,11 +185,13 @@ def _text(
     for model, values in models.items():
         comments = {} if notes is None else notes.get(model, {})
         fitted = notes is None or model in notes
+        declared = declarations(MODELS[model].constants) if model in MODELS else {}
         lines.append(f"{model}:" + ("" if fitted else "  # not fitted: the base vehicle's"))
         for key, names in tables[model].items():
             items = [words[values[x]] if key == "turning" else repr(values[x]) for x in names]
             text = f"[{', '.join(items)}]" if len(items) > 1 else items[0]
-            note = ", ".join(comments[name] for name in names if name in comments)
+            units = [declared[names[0]].unit] if names[0] in declared else []
+            note = ", ".join(filter(None, units + [comments.get(name, "") for name in names]))
             lines.append(f"  {key}: {text}" + (f"  # {note}" if note else ""))
     return "\n".join(lines) + "\n"
 

@@ -205,7 +205,7 @@ vehicle.constants.k_x=-1e-4 | vehicle.constants.k_x is -0.0001, allowed: at leas
 'schedules.run.steps.linear=[0, 1]' | schedules.run.steps is 40000000, allowed: the key of a number
 'schedules.learner.discount={linear: [0.9, 1.0]}' | schedules.learner.discount: PPO: discount
 'schedules.vehicle.constants.tau={linear: [0.06, 1e-4]}' | is 0.0001, allowed: above 0.005 s
-'schedules.vehicle.mismatch.k_w={linear: [1, 0.9]}' | is None, allowed: the key of
+'schedules.vehicle.mismatch.k_w={linear: [1, 0.9]}' | is null, allowed: the key of
 'schedules.vehicle.residual_gain={linear: [0, value]}' | vehicle.residual_gain has no effect
 'rules.bounds=[[9, -9], [-9, 9], [-6, 0]]' | rules.bounds[0] is [9, -9], allowed: [low
 'rules.bounds=[[1, 1], [-9, 9], [-6, 0]]' | rules.bounds[0] is [1.0, 1.0], allowed: [low
@@ -222,7 +222,7 @@ run.steps=1000000 'schedules.reward.gate={linear: [0, value], until: 2e6}' | at 
 'schedules.reward.gate={linear: [0, value], from: 0.5, until: 0.4}' | before until 0.4
 'track.start={position: [0, 0, 0]}' | track.start.position is [0.0, 0.0, 0.0]
 'rules.bounds=[[-1, 4], [-2, 2], [-5, 0]]' | within rules.bounds
-track.closed=false evaluate.laps=1 | track.start is None, allowed
+track.closed=false evaluate.laps=1 | track.start is null, allowed
 track.closed=false 'track.start={position: [-3, -1.5, -1.5]}' | evaluate.laps is 6, allowed: 1 with
 rules.body_radius=0.5 | above 1, of training_limits.gate_inflation and rules.body_radius
 'track.gates=[{position: [0, 0, -2], pitch_deg: -90}]' rules.gate_test=world_box | square, because

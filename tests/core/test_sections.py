@@ -60,7 +60,7 @@ def test_build_takes_what_is_meant():
 REFUSED = [
     ({"sizes": [9]}, "sizes[0] is 9, allowed: less than or equal to 5"),
     ({"count": 2.5}, "count is 2.5, allowed: a whole number"),
-    ({"count": True}, "count is True, allowed: a whole number"),
+    ({"count": True}, "count is true, allowed: a whole number"),
     ({"count": 0}, "count is 0, allowed: greater than or equal to 1"),
     ({"count": 10**5000}, "count is a number of thousands of digits, allowed: "),
     ({"factors": 3}, "factors is 3, allowed: a mapping"),

@@ -93,7 +93,7 @@ def test_what_does_not_fit_is_refused():
     own = dataclasses.replace(policy.layout.fields[0], name="altitude")
     other = dataclasses.replace(policy, layout=Layout((own, *policy.layout.fields[1:])))
     for unfit, says in (
-        (random_policy("rate"), r"file.npz: a policy for the rate vehicle"),
+        (random_policy("rate"), r"file.npz: a policy for vehicle.model=rate"),
         (other, r"observes 'altitude' \(3\), which the race"),
     ):
         with pytest.raises(InputError, match=says):

@@ -23,7 +23,7 @@ from quadjax.refit import (
     clearances,
     margin_of,
     refit,
-    refusal,
+    rejection,
     spread_of,
     states_of_logs,
 )
@@ -34,8 +34,8 @@ NAMES = (*AXES, SPEEDS)
 ONES = dict.fromkeys(NAMES, 1.0)
 
 
-def refused(before, after):
-    return refusal(Model({}, before=before, after=after))
+def rejected(before, after):
+    return rejection(Model({}, before=before, after=after))
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +53,12 @@ def test_a_model_that_holds_is_accepted_and_once_more_it_is_refused(logs, tmp_pa
     limit = present.constants["rpm_max"]
     errors = [battery.error(log, present.hover, limit) for log in files]
     assert found.before[SPEEDS] == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-6)
-    assert found.refused == "" and found.change < -0.2
+    assert found.rejection == "" and found.change < -0.2
     assert found.constants["k_w"] == pytest.approx(0.9 * present.constants["k_w"], rel=0.03)
     assert found.constants["rpm_max"] == present.constants["rpm_max"]
     assert Model.from_json(json.loads(json.dumps(dataclasses.asdict(found)))) == found
     again = refit(logs, logs, FIT, found, tmp_path)
-    assert again.refused.startswith("its error on held-out flights is")
+    assert again.rejection.startswith("its error on held-out flights is")
 
 
 def test_logs_without_commanded_speeds_have_no_error_of_the_speeds(logs, tmp_path):
@@ -78,17 +78,19 @@ def test_logs_without_commanded_speeds_have_no_error_of_the_speeds(logs, tmp_pat
 def test_a_model_of_an_earlier_layout_is_refused():
     with pytest.raises(InputError, match=r"model\.json: written by another version"):
         Model.from_json({"model": {}, "battery": None}, Path("model.json"))
+    earlier = {"constants": {}, "battery": None, "refused": "too large"}
+    assert Model.from_json(earlier).rejection == "too large"
 
 
 def test_refusals():
-    assert refused(ONES, dict.fromkeys(NAMES, 0.9)) == ""
-    worse, better = (refused(ONES, dict.fromkeys(NAMES, 1.0 + x)) for x in (0.03, -0.005))
+    assert rejected(ONES, dict.fromkeys(NAMES, 0.9)) == ""
+    worse, better = (rejected(ONES, dict.fromkeys(NAMES, 1.0 + x)) for x in (0.03, -0.005))
     assert "is 3.0% larger than that of the present model, allowed: at least 1% smaller" in worse
     assert "is 0.5% smaller than that of the present model" in better
     harmful = dict.fromkeys(NAMES, 0.5) | {"Mz": 1.2}
-    assert refused(ONES, harmful) == "its error of Mz on held-out flights is 20% larger"
+    assert rejected(ONES, harmful) == "its error of Mz on held-out flights is 20% larger"
     without_speeds = dict.fromkeys(AXES, 1.0)
-    assert refused(without_speeds, dict.fromkeys(AXES, 0.9)) == ""
+    assert rejected(without_speeds, dict.fromkeys(AXES, 0.9)) == ""
 
 
 def test_the_training_has_the_model_and_the_numbers_at_the_end_of_the_schedules(tmp_path):

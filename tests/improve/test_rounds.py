@@ -55,7 +55,7 @@ def test_a_stopped_command_repeats_no_step(tmp_path, flights, monkeypatch):
     model = (folder / "round_1" / "model.json").stat().st_mtime_ns
     (done,) = fly_rounds(setting, folder, **SILENT)
     assert (folder / "round_1" / "model.json").stat().st_mtime_ns == model
-    assert len(flights) == 1 and done.refitted.refused == "" and done.refitted.change < -0.1
+    assert len(flights) == 1 and done.refitted.rejection == "" and done.refitted.change < -0.1
     first, policy = Policy.load(setting.policy), Policy.load(folder / "policy.npz")
     assert (first.layers[0][0] != policy.layers[0][0]).any()
     one, two = fly_rounds(setting_of(tmp_path, rounds=2), folder, **SILENT)
@@ -114,7 +114,7 @@ def test_real_logs_are_fitted_without_flying(tmp_path, flights, capsys):
     setting = setting_of(tmp_path, plant=None, logs=tuple(logs))
     (tmp_path / "out").mkdir()
     found = learn(setting, tmp_path / "out", **SILENT)
-    assert found.refused == "" and flights == []
+    assert found.rejection == "" and flights == []
     assert (tmp_path / "out" / "policy.npz").exists()
 
 

@@ -49,6 +49,10 @@ train e2e track=tracks | tracks directory
 train e2e --seeds 1 1 | --seeds twice
 train e2e --seeds 0 x | --seeds x
 train e2e --resum | --resum --resume
+train e2e --resume --name nope | runs/nope resume --resume
+train e2e seed=1 --seeds 0 1 | seed=1 effect --seeds
+train e2e track= | track= value null
+train e2e track=5 | track 5 square4 mapping
 train e2e --resume --overwrite | exclude
 train e2e --name ../out | --name
 train e2e --output=-- | --output=-- value
@@ -78,7 +82,10 @@ train e2e --fine-tune bytes.npz | bytes.npz
 train e2e --fine-tune nosuch.npz | nosuch.npz
 evaluate e2e | --policy
 evaluate e2e --policy nosuch | nosuch e2e_nominal
-evaluate e2e --policy e2e_nominal track=nosuch | track.file nosuch
+evaluate e2e --policy e2e_nominal track=nosuch | overrides: track: 'nosuch' square4
+evaluate e2e --policy e2e track.file=nosuch | overrides: track.file: 'nosuch'
+evaluate e2e --policy e2e --body 19 | --body 19 track.gates[0].size
+evaluate e2e --policy tracks | --policy tracks policy.npz run shipped e2e_nominal
 logs standin --policy e2e constants.sede=3 --output new | constants.sede seed
 evaluate e2e --policy e2e --figures bytes.npz | bytes.npz folder
 evaluate e2e --policy bytes.npz | bytes.npz
@@ -122,11 +129,14 @@ compare standin sensors.accelerometer.bias_walk=.nan | bias_walk nan
 compare standin sensors.gyro.low_pass=250 | sensors.gyro.low_pass 250 (none)
 compare standin sensors.gps=1 | sensors.gps
 improve e2e --policy e2e --logs nosuch.csv | nosuch.csv
+improve e2e --policy e2e --logs '' | '' logs.files
 improve e2e --policy e2e --logs short.csv --seed 0 | --seed effect --logs
 improve e2e --policy e2e --rounds 0 | --rounds 100
 improve e2e --policy e2e vehicle.model=rate | vehicle.model motor
 view e2e --name a --name b | --name flights
-view nosuch.npz | nosuch.npz
+view nosuch.npz | nosuch.npz run .csv shipped
+view '' | '' run .csv shipped
+view indi --race e2e | indi.npz vehicle.model=rate vehicle.model=motor own
 view notes.txt | notes.txt
 limit e2e track=nosuch | nosuch
 limit e2e --clearance -1 | --clearance
@@ -139,11 +149,14 @@ limit 'indi +fastest' --clearance 0.5 | gate 1 0.5
 limit 'indi +fastest' rules.gate_test=world_box | world_box
 sweep nosuch | nosuch
 sweep key.yaml | key.yaml
+sweep learning_rate budget.trials=0 | overrides: budget.trials 0
 fit nosuch | nosuch
 fit standin logs.files=[empty.csv] | empty.csv
 fit standin logs.files=[short.csv] | short.csv
 fit standin logs.files=[nosuch.csv] | nosuch.csv
 fit paparazzi logs.files=[] | logs.files
+fit paparazzi logs.files= | logs.files= value
+fit paparazzi logs.format=foo | logs.format 'foo' paparazzi module:OBJECT
 fit paparazzi logs.files=[short.csv] logs.format=betaflight | logs.format betaflight blackbox
 fit paparazzi logs.files=[short.csv] logs.format=nowhere:FORMAT | logs.format nowhere
 fit paparazzi logs.files=[short.csv] logs.columns.rpms=[a] | rpms
@@ -162,6 +175,8 @@ replay short.csv --policy e2e --drive wind | --drive
 replay short.csv --policy e2e --json x.txt | .txt
 replay short.csv --policy e2e --logs nosuch | nosuch
 logs nosuch --policy e2e --output out | nosuch
+logs standin --flights 0 | --output missing
+logs standin --policy e2e --output | --output value
 export nosuch --output out | nosuch
 export e2e --output notes.txt | notes.txt
 export e2e --output out --target avr | avr cortex-a9
@@ -176,7 +191,9 @@ export e2e --output out --name quadjax_policy | runtime names
 export e2e --output out --track nowhere.yaml | nowhere.yaml
 export e2e --output= | --output
 export e2e --output out --target px4 | px4 motor racing vehicle=5inch
-verify nosuch | nosuch
+verify nosuch | nosuch folder export .qjp
+verify '' | DIR '' folder export
+verify tracks | tracks _report.json folder export
 verify notes.txt | notes.txt
 sil nosuch | nosuch --listen
 sil e2e --target px4 | px4 motor racing vehicle=5inch
@@ -191,6 +208,8 @@ sil indi wings=2 | wings
 import e2e notes.txt --output new.npz | notes.txt
 import e2e bytes.npz --output new.npz | bytes.npz
 show nosuch | nosuch
+show '' | '' lists
+show new.yaml --write track gates=0 | overrides: gates 0
 show square4 extra | extra
 show square4 --figure nosuch/x.png | nosuch
 show e2e run.steps=-5 | run.steps -5

@@ -66,6 +66,8 @@ def test_a_file_from_data(tmp_path, capsys):
     assert run("show", path, "--write", "vehicle", *DATA, "thrust_to_weight=4") == 0
     printed = capsys.readouterr().out
     assert "thrust-to-weight  4.00" in printed and "warning" not in printed
+    lines = path.read_text().splitlines()
+    assert "mass: 0.6  # kg" in lines and "  tau: 0.03  # s" in lines
     config = load_config("e2e", [f"vehicle={path}"])  # needs no constants of the rate model
     assert config.vehicle.name == "mine" and config.vehicle.constants["tau"] == 0.03
     assert run("show", path, "--write", "vehicle", *DATA) == 2
