@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 OF_LAPS = ("fixed_point", "range_", "offsets", "states", "figures", "animation")
 RECORDED = Group("Recorded flights, in place of policies", sort_key=2)
 States = Annotated[
-    Path | None,
-    opt.Output((".npz", ".csv")),
-    Parameter(metavar="FILE.npz|.csv", group=opt.FILES),
+    Path | None, opt.Output((".npz", ".csv")), Parameter(metavar="FILE.npz|.csv", group=opt.FILES)
 ]
 Animation = Annotated[
     Path | None, opt.Output((".gif",)), Parameter(metavar="FILE.gif", group=opt.FILES)

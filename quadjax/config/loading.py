@@ -6,10 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from quadjax.config.checks import check
-from quadjax.config.layers import (
-    config_layers,
-    without_replaced,
-)
+from quadjax.config.layers import config_layers, without_replaced
 from quadjax.config.scales import in_plain_units
 from quadjax.config.schema import Config, Rules, Vehicle
 from quadjax.core.errors import InputError, close_match, prefixed

@@ -121,8 +121,7 @@ class Run(Section):
         "auto", description="number of devices, or auto, or all"
     )
     initial_policy: str | None = Field(
-        None,
-        description="policy file (.npz) to start from, next to the config or by its path",
+        None, description="policy file (.npz) to start from, next to the config or by its path"
     )
     start_states: str | None = Field(
         None,
@@ -180,10 +179,7 @@ class Evaluate(Section):
 class Config(Section):
     """A training run on a race."""
 
-    name: FolderName = Field(
-        "run",
-        description="name of the run; results are written to runs/NAME",
-    )
+    name: FolderName = Field("run", description="name of the run; results are written to runs/NAME")
     seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of all random numbers of training")
     vehicle: Vehicle = Vehicle()
     track: TrackSection

@@ -25,10 +25,7 @@ class InputError(ValueError):
 
 
 def short(value: object, limit: int = 60, text: Callable[[object], str] = repr) -> str:
-    """A value as text of a limited length, also a number with thousands of digits.
-
-    ``null``, ``true`` and ``false`` are as in a config.
-    """
+    """A value as in a config, as text of a limited length, also a number of thousands of digits."""
     if value is None or isinstance(value, bool):
         return json.dumps(value)
     try:

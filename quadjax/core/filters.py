@@ -72,9 +72,7 @@ def butterworth(sample_rate: Scalar, cutoff: Scalar) -> LowPass:
 
 
 def advance(
-    feedback: jax.Array,
-    inputs: Sequence[tuple[Sample, jax.Array]],
-    memory: tuple[Sample, Sample],
+    feedback: jax.Array, inputs: Sequence[tuple[Sample, jax.Array]], memory: tuple[Sample, Sample]
 ) -> tuple[Sample, tuple[Sample, Sample]]:
     """One sample, in the transposed direct form II.
 

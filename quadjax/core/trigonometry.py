@@ -42,10 +42,7 @@ def sincos(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
     odd = (quadrant == 1.0) | (quadrant == 3.0)
     sine_sign = jnp.where(quadrant >= 2.0, -1.0, 1.0)
     cosine_sign = jnp.where((quadrant == 1.0) | (quadrant == 2.0), -1.0, 1.0)
-    return (
-        sine_sign * jnp.where(odd, cosine, sine),
-        cosine_sign * jnp.where(odd, sine, cosine),
-    )
+    return (sine_sign * jnp.where(odd, cosine, sine), cosine_sign * jnp.where(odd, sine, cosine))
 
 
 @sincos.defjvp

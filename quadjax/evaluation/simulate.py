@@ -113,11 +113,7 @@ def simulate(
 
 
 def _starts(
-    choices: Choices,
-    params: RaceParams,
-    key: jax.Array,
-    tracks: Track | None,
-    protocol: Conditions,
+    choices: Choices, params: RaceParams, key: jax.Array, tracks: Track | None, protocol: Conditions
 ) -> RaceState:
     runs, start = protocol.runs or 1, protocol.start
     if tracks is not None:

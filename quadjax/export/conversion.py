@@ -19,12 +19,7 @@ from quadjax.export.proof import Proof, prove
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import make_tables
 from quadjax.export.ranges import track_ranges
-from quadjax.export.render import (
-    call_frequency,
-    glue_header,
-    policy_header,
-    sizes_header,
-)
+from quadjax.export.render import call_frequency, glue_header, policy_header, sizes_header
 from quadjax.export.suitability import check_target, observed_fields, target_of
 from quadjax.export.targets import DEFAULT_TARGET, Target, runtime_files
 from quadjax.export.words import FixedPolicy, pack

@@ -276,11 +276,7 @@ def _with_residual(tables: EstimatorTables, residual: Residual) -> EstimatorTabl
 
 
 def _network(
-    name: str,
-    layers: mlp.Layers,
-    ranges: np.ndarray,
-    channels: tuple[int, ...],
-    sign: float,
+    name: str, layers: mlp.Layers, ranges: np.ndarray, channels: tuple[int, ...], sign: float
 ) -> FixedResidual:
     arrays = [(np.asarray(kernel), np.asarray(bias)) for kernel, bias in layers]
     hidden, scale, magnitude = convert_hidden(arrays[:-1], ranges)

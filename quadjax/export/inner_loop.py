@@ -79,10 +79,7 @@ def inner_loop(policy: FixedPolicy, own: OwnRace, target: Target) -> str | None:
         "commands": commands,
         "commands_hz": round(training, 3) if held else calls,
         "training_hz": round(training, 3),
-        "response": {
-            "rates": _number(constants.tau_rate),
-            "thrust": _number(constants.tau_thrust),
-        },
+        "response": {"rates": _number(constants.tau_rate), "thrust": _number(constants.tau_thrust)},
     }
     race: Any = parse_yaml(own.text, "the race's config")
     motor: dict[str, float] | None = (race["vehicle"].get("models") or {}).get("motor")

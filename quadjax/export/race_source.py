@@ -82,10 +82,7 @@ def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") 
     except InputError as error:
         raise InputError(f"{origin}: {error}") from None
     constants = _with_limits(choices.model, params.vehicle.constants, policy)
-    params = params.replace(
-        vehicle=params.vehicle.replace(constants=constants),
-        heading=None,
-    )
+    params = params.replace(vehicle=params.vehicle.replace(constants=constants), heading=None)
     pilot = make_pilot(choices, params, policy, deterministic=True)
     track, vehicle = (Path(p.name or p.file or "").name for p in (config.track, config.vehicle))
     return OwnRace(choices, params, pilot, track, vehicle, origin, whole, residual or None)

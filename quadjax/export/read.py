@@ -15,12 +15,7 @@ from quadjax.export.disturbances import CHANNELS, MONOMIALS, EstimatorTables, Fi
 from quadjax.export.integers import DIGEST_START, Rescale
 from quadjax.export.network import FixedLayer, FixedNetwork
 from quadjax.export.noise import NoiseTables
-from quadjax.export.race_tables import (
-    TRACK,
-    VECTORS,
-    Input,
-    RaceTables,
-)
+from quadjax.export.race_tables import TRACK, VECTORS, Input, RaceTables
 from quadjax.export.ranges import InputBox
 from quadjax.export.words import (
     BLOCK,

@@ -40,13 +40,7 @@ from quadjax.export.integers import WORD, Rescale
 from quadjax.export.names import LONGEST_NAME
 from quadjax.export.network import FixedLayer, FixedNetwork
 from quadjax.export.noise import NoiseTables
-from quadjax.export.race_tables import (
-    QUATERNION_EXPONENT,
-    TRACK,
-    YAW_EXPONENT,
-    Kind,
-    RaceTables,
-)
+from quadjax.export.race_tables import QUATERNION_EXPONENT, TRACK, YAW_EXPONENT, Kind, RaceTables
 from quadjax.export.targets import COMMAND_KINDS, RATES, STATE_FIELDS
 
 MAGIC, VERSION, COMMANDS = 0x00504A51, 2, 4

@@ -9,13 +9,7 @@ import numpy as np
 
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
-from quadjax.fitting.axes import (
-    Prediction,
-    fit_axes,
-    nominal_error,
-    with_common,
-    with_estimates,
-)
+from quadjax.fitting.axes import Prediction, fit_axes, nominal_error, with_common, with_estimates
 from quadjax.fitting.config import FitConfig, check_keys, with_body
 from quadjax.fitting.flight_log import highest_speed, read_logs
 from quadjax.fitting.motors import (

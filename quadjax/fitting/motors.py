@@ -25,14 +25,7 @@ from quadjax.core.errors import InputError
 from quadjax.fitting.axes import fit_axes
 from quadjax.fitting.formats import RPM
 from quadjax.fitting.nominal import AXES, EQUATIONS
-from quadjax.fitting.regression import (
-    Estimate,
-    Parameter,
-    Problem,
-    half_seconds,
-    solve,
-    unknown,
-)
+from quadjax.fitting.regression import Estimate, Parameter, Problem, half_seconds, solve, unknown
 from quadjax.fitting.samples import CUTOFF, filtered_regressors, prepare
 from quadjax.fitting.signals import derivative, first_order, low_pass
 from quadjax.flights.flight import MOTORS, Flight, Signal

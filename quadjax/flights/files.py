@@ -154,10 +154,7 @@ def load(path: Path | str, gates: Sequence[GateSection] = (), name: str = "") ->
 
 
 def _flight_at(
-    arrays: dict[str, np.ndarray],
-    gates: tuple[GateSection, ...],
-    about: dict[str, Any],
-    index: int,
+    arrays: dict[str, np.ndarray], gates: tuple[GateSection, ...], about: dict[str, Any], index: int
 ) -> Flight:
     time = arrays["time"][index].astype(np.float64)
     count = int(np.isfinite(time).sum())

@@ -101,11 +101,7 @@ def passages_at(
 
 
 def _in_order(
-    time: np.ndarray,
-    position: np.ndarray,
-    gates: Sequence[GateSection],
-    reach: float,
-    closed: bool,
+    time: np.ndarray, position: np.ndarray, gates: Sequence[GateSection], reach: float, closed: bool
 ) -> list[tuple[float, float, int]]:
     """Time, clearance and gate of each passage through the openings, widened by ``reach``."""
     through = []

@@ -75,12 +75,7 @@ def induced_square(r: RotorConfig, c: MotorConstants, mass: jax.Array) -> jax.Ar
 
 
 def flapping_moment(
-    r: RotorConfig,
-    c: MotorConstants,
-    mass: jax.Array,
-    rpm: Rotors,
-    air_velocity: Vec3,
-    rates: Vec3,
+    r: RotorConfig, c: MotorConstants, mass: jax.Array, rpm: Rotors, air_velocity: Vec3, rates: Vec3
 ) -> Vec3:
     """Moment, N m, body, of discs that tilt with the flow and lag the body's rotation.
 

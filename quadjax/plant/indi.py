@@ -186,8 +186,6 @@ def _added_scale(base: Rotors, added: Rotors, low: Rotors, high: Rotors) -> jax.
         size = jnp.abs(d)
         tight = size > room
         fraction = jnp.where(
-            tight,
-            jnp.minimum(fraction, room / jnp.where(tight, size, 1.0)),
-            fraction,
+            tight, jnp.minimum(fraction, room / jnp.where(tight, size, 1.0)), fraction
         )
     return fraction

@@ -145,10 +145,7 @@ def sense(
 
 
 def _estimate(
-    params: OnboardParams,
-    truth: GroundTruth,
-    measured: Measured | None,
-    filtered: EkfState | None,
+    params: OnboardParams, truth: GroundTruth, measured: Measured | None, filtered: EkfState | None
 ) -> StateEstimate:
     none = Vec3.zero()
     if filtered is None or measured is None:

@@ -9,13 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from quadjax.core.frames import (
-    attitude,
-    body_to_world,
-    euler_rates,
-    world_to_body,
-    wrap_angle,
-)
+from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body, wrap_angle
 from quadjax.core.integrators import rk4_step
 from quadjax.core.materialize import Caller, call_directly
 from quadjax.core.traced import as_leaves

@@ -148,11 +148,7 @@ def starting_states(
 
 
 def advance(
-    choices: Choices,
-    params: RaceParams,
-    race: LapState,
-    action: jax.Array,
-    last: int | None = None,
+    choices: Choices, params: RaceParams, race: LapState, action: jax.Array, last: int | None = None
 ) -> LapState:
     """One step of one drone; see ``count_laps``."""
     following, _, outcome = environment.transition(choices, params, race.state, action)

@@ -83,8 +83,7 @@ class Observation(Section):
         False, description="observe the action of the step before, -1 to 1; 0 at the start"
     )
     actuators: bool = Key(
-        True,
-        description="observe the actuators' state; false: for drones that do not measure it",
+        True, description="observe the actuators' state; false: for drones that do not measure it"
     )
     actuator_range: Span | None = Key(
         None,
