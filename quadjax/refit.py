@@ -359,8 +359,8 @@ def margin_of(config: Config, logs: Sequence[Flight], hit: Collection[str]) -> f
     if config.reward.gate_edge == 0:
         return now
     by_gate = clearances(logs, config, hit)
-    least = min((float(values.mean()) for values in by_gate.values()), default=np.inf)
-    needed = SPREAD * spread_of(by_gate) - least
+    smallest = min((float(values.mean()) for values in by_gate.values()), default=np.inf)
+    needed = SPREAD * spread_of(by_gate) - smallest
     more = max(needed if np.isfinite(needed) else 0.0, AFTER_A_HIT if hit else 0.0, 0.0)
     half = 0.5 * min(size for gate in config.track.gates for size in gate.size)
     largest = max(now, 0.5 * (half - config.rules.body_radius))

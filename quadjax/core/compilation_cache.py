@@ -26,12 +26,12 @@ def enable_compilation_cache() -> None:
     folder = cache_folder() / "jax" / _machine()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        found = folder.stat()
+        status = folder.stat()
     except OSError:
         return
     # Cached programs are executed, so only the user may have write access to the folder.
-    owner = os.getuid() if hasattr(os, "getuid") else found.st_uid
-    if found.st_uid != owner or found.st_mode & 0o022 or not os.access(folder, os.W_OK):
+    owner = os.getuid() if hasattr(os, "getuid") else status.st_uid
+    if status.st_uid != owner or status.st_mode & 0o022 or not os.access(folder, os.W_OK):
         return
     # JAX writes no more entries next to one that has no time because its process was killed.
     times = {path.name.removesuffix("-atime") for path in folder.glob("*-atime")}

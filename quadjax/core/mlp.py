@@ -29,11 +29,11 @@ def apply(layers: Layers, inputs: jax.Array, activation: str = "relu") -> jax.Ar
 
 def hidden(layers: Layers, inputs: jax.Array, activation: str = "relu") -> list[jax.Array]:
     """The activations (..., outputs) of each hidden layer; arguments as of ``apply``."""
-    found: list[jax.Array] = []
+    activations: list[jax.Array] = []
     for kernel, bias in layers[:-1]:
         inputs = ACTIVATIONS[activation](_affine(kernel, bias, inputs))
-        found.append(inputs)
-    return found
+        activations.append(inputs)
+    return activations
 
 
 def _affine(kernel: jax.Array, bias: jax.Array, inputs: jax.Array) -> jax.Array:

@@ -193,14 +193,14 @@ def load_section(
     return validate(schema, *merge_layers(layers, path))
 
 
-def check_integer(name: str, value: object, least: int, most: int) -> None:
+def check_integer(name: str, value: object, lowest: int, highest: int) -> None:
     """Raise an ``InputError`` that names the argument unless it is an integer in the range."""
     if (
         isinstance(value, bool)
         or not isinstance(value, Integral)
-        or not least <= int(value) <= most
+        or not lowest <= int(value) <= highest
     ):
-        raise InputError(f"{name} is {value!r}, allowed: an integer, {least} to {most}")
+        raise InputError(f"{name} is {value!r}, allowed: an integer, {lowest} to {highest}")
 
 
 @contextlib.contextmanager

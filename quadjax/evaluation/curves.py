@@ -48,8 +48,8 @@ def training_figure(
     """
     if not 0 < len(groups) <= len(COLORS):
         raise InputError(f"{len(groups)} groups of runs to draw, allowed: 1 to {len(COLORS)}")
-    drawn = {k: [runs] if isinstance(runs, Mapping) else runs for k, runs in groups.items()}
-    first: Metrics = next((run for runs in drawn.values() for run in runs), {})
+    metrics = {k: [runs] if isinstance(runs, Mapping) else runs for k, runs in groups.items()}
+    first: Metrics = next((run for runs in metrics.values() for run in runs), {})
     across = [name for name in ACROSS if name in first]
     rows = [x for x in upwards if x in first and (len(upwards) == 1 or np.isfinite(first[x]).any())]
     if not across or not rows:
@@ -62,11 +62,11 @@ def training_figure(
     for up, line in zip(rows, grid, strict=True):
         for along, axes in zip(across, line, strict=True):
             tidy(axes)
-            for (name, runs), color in zip(drawn.items(), COLORS, strict=False):
+            for (name, runs), color in zip(metrics.items(), COLORS, strict=False):
                 runs = [run for run in runs if along in run and up in run]
                 _draw_runs(axes, runs, along, up, color, name if name != title else "")
             if up == "lap_total":
-                times = np.concatenate([run[up] for runs in drawn.values() for run in runs])
+                times = np.concatenate([run[up] for runs in metrics.values() for run in runs])
                 _lap_axis(axes, times, [reference for reference in references if reference])
         line[0].set_ylabel(upwards[up], color=INK)
     for along, axes in zip(across, grid[-1], strict=True):
@@ -127,7 +127,7 @@ def learning_figure(groups: Mapping[str, Sequence[Path]], code: Collection[str] 
         InputError: a folder without them, runs of different numbers of laps, no group, or more
             groups than colors.
     """
-    drawn: dict[str, list[Metrics]] = {}
+    metrics: dict[str, list[Metrics]] = {}
     lengths, published = {}, []
     for name, folders in groups.items():
         if not folders:
@@ -135,14 +135,14 @@ def learning_figure(groups: Mapping[str, Sequence[Path]], code: Collection[str] 
         configs = [load_config(Path(folder) / "config.yaml", code=code) for folder in folders]
         scores = " and ".join(sorted({SCORES[config.run.score] for config in configs}))
         label = f"{name} ({counted(len(folders), 'seed')}, {scores})"
-        drawn[label] = [_lap_metrics(Path(folder) / "metrics.csv") for folder in folders]
+        metrics[label] = [_lap_metrics(Path(folder) / "metrics.csv") for folder in folders]
         lengths[name] = configs[0].evaluate.length
         published += [published_total(config) for config in configs]
     check_lengths(lengths)
     references = dict.fromkeys(published) if all(published) else ()
     upwards = {"lap_total": f"{next(iter(lengths.values()), '')} (s)"}
     title = "median over seeds; shaded from the fastest to the slowest"
-    return training_figure(drawn, title, *references, upwards=upwards)
+    return training_figure(metrics, title, *references, upwards=upwards)
 
 
 def _lap_metrics(path: Path) -> Metrics:

@@ -54,11 +54,11 @@ def trajectory_figure(
     """
     several = isinstance(flights, Mapping)
     groups: Groups = flights if isinstance(flights, Mapping) else {title: flights}
-    drawn = {k: v if len(v) <= MANY or not several else [fastest(v)] for k, v in groups.items()}
-    every = [flight for group in drawn.values() for flight in group]
+    selected = {k: v if len(v) <= MANY or not several else [fastest(v)] for k, v in groups.items()}
+    every = [flight for group in selected.values() for flight in group]
     limits = extent(every, gates)
-    size, columns = limits[1] - limits[0], min(len(drawn), ACROSS)
-    alone, blocks = columns == 1, -(-len(drawn) // columns)
+    size, columns = limits[1] - limits[0], min(len(selected), ACROSS)
+    alone, blocks = columns == 1, -(-len(selected) // columns)
     scale = min(8.0 / size[0], 7.0 / (size[1] + size[2])) if alone else 9.0 / columns / size[0]
     tall = scale * (size[1] + size[2]) + (1.6 if alone else 0.75)
     figure = new_figure(scale * size[0] * columns + 1.9, tall * blocks)
@@ -67,7 +67,7 @@ def trajectory_figure(
         2 * blocks, columns, sharex=True, sharey="row", height_ratios=ratios, squeeze=False
     )
     speeds, lines = speed_range(every) if every else (0.0, 1.0), None
-    for index, (label, group) in enumerate(drawn.items()):
+    for index, (label, group) in enumerate(selected.items()):
         above, side = grid[2 * (index // columns) : 2 * (index // columns) + 2, index % columns]
         for flight in group:
             points, width = flight["position"] * UP, 2.2 if len(group) == 1 else 1.3

@@ -261,7 +261,7 @@ def fastest_responses(groups: Groups, config: Config) -> dict[str, tuple[Flight,
     """The fastest flight of each group with its ``response``, by label, where there is one."""
     best = {label: fastest(flights) for label, flights in groups.items()}
     signals = {label: response(flight, config.vehicle) for label, flight in best.items()}
-    return {label: (best[label], found) for label, found in signals.items() if found is not None}
+    return {label: (best[label], signal) for label, signal in signals.items() if signal is not None}
 
 
 def error_figure(flight: Flight, signals: Response, gates: int, title: str = "") -> Figure:

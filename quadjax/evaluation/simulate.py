@@ -136,8 +136,8 @@ hover_starts = jax.jit(race.starting_states, static_argnums=(0, 3, 4, 5))
 def _longest(tracks: Track) -> Track:
     """The longest of several tracks, which are batched along the first axis."""
     count = jax.tree.leaves(tracks)[0].shape[0]
-    each = [jax.tree.map(lambda x, i=i: x[i], tracks) for i in range(count)]
-    return max(each, key=race.lap_length)
+    separate = [jax.tree.map(lambda x, i=i: x[i], tracks) for i in range(count)]
+    return max(separate, key=race.lap_length)
 
 
 def unseen_tracks(config: Config, count: int) -> RandomTracks:
@@ -153,19 +153,19 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
     """
     first, second = jax.random.split(key)
     state, model = episode.reset(choices, params, first), choices.model
-    drawn = draw_start(model, second)
-    target = start_gate(params.track, drawn["gate"][0])
+    draws = draw_start(model, second)
+    target = start_gate(params.track, draws["gate"][0])
     g = gate(params.track, target)
     behind = Vec3(g.cos_yaw, g.sin_yaw, jnp.zeros_like(g.yaw)) * DISTANCE
     motion = Motion(
         position=g.position - behind,
-        velocity=Vec3.of(drawn["velocity"]) * VELOCITY,
-        euler=Vec3.of(drawn["euler"]) * Vec3(*map(jnp.float32, (ROLL_PITCH, ROLL_PITCH, math.pi))),
-        rates=Vec3.of(drawn["rates"]) * RATES,
+        velocity=Vec3.of(draws["velocity"]) * VELOCITY,
+        euler=Vec3.of(draws["euler"]) * Vec3(*map(jnp.float32, (ROLL_PITCH, ROLL_PITCH, math.pi))),
+        rates=Vec3.of(draws["rates"]) * RATES,
     )
     low, high = map(jnp.asarray, params.start.thrust)
     constants = params.vehicle.constants if state.constants is None else state.constants
-    drone = model.start(constants, motion, drawn["actuators"], (low, high))
+    drone = model.start(constants, motion, draws["actuators"], (low, high))
     zero = jnp.zeros((), jnp.int32)
     fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
     return with_memory(choices, params, fresh)

@@ -63,8 +63,8 @@ def check(policy: FixedPolicy) -> None:
 
 
 def _is_input(race: RaceTables, part: Input) -> bool:
-    exponent, exponents = race.box.exponent[part.name], race.exponents
-    own = [exponents[i] for i in part.sources] if part.kind != "gate" else []
+    exponent = race.box.exponent[part.name]
+    exponents = [race.exponents[i] for i in part.sources] if part.kind != "gate" else []
     size, kind = race.box.layout[part.name].size, part.kind
     fine = abs(exponent) <= LARGEST_EXPONENT and 0 <= part.lag <= LARGEST_LAG
     fine &= all(source >= 0 for source in part.sources)
@@ -73,14 +73,16 @@ def _is_input(race: RaceTables, part: Input) -> bool:
             6 if kind == "rotation" else 3
         )
     if kind in ("position", "velocity"):
-        fine &= len(set(own)) == 1 and 1 <= INPUT_BITS - own[0] + exponent <= LARGEST_SHIFT
+        fine &= (
+            len(set(exponents)) == 1 and 1 <= INPUT_BITS - exponents[0] + exponent <= LARGEST_SHIFT
+        )
     if kind == "attitude":
-        fine &= own == [exponent, exponent, YAW_EXPONENT]
+        fine &= exponents == [exponent, exponent, YAW_EXPONENT]
     if kind == "rotation":
-        fine &= set(own) == {QUATERNION_EXPONENT}
+        fine &= set(exponents) == {QUATERNION_EXPONENT}
         fine &= 1 - INPUT_BITS <= exponent <= LARGEST_SHIFT - INPUT_BITS
     if kind == "copy":
-        fine &= set(own) == {exponent}
+        fine &= set(exponents) == {exponent}
     for rescale in part.rescales:
         if rescale is not None:
             fine &= 1 <= rescale.shift <= LARGEST_SHIFT
@@ -110,15 +112,15 @@ def _prove(layers: tuple[FixedLayer, ...], inputs: int, outputs: int) -> None:
 
 def passes(policy: FixedPolicy) -> bool:
     """Whether the emulators give the integers of the self-tests."""
-    own = policy.cases
-    inputs = own.inputs.view(np.int32)
-    floats = (own.states.view("<f4"), own.measurements.view("<f4"), own.samples.view("<f4"))
+    cases = policy.cases
+    inputs = cases.inputs.view(np.int32)
+    floats = (cases.states.view("<f4"), cases.measurements.view("<f4"), cases.samples.view("<f4"))
     states, measurements, samples = floats
-    targets = own.targets[:, 0].astype(np.int64)
+    targets = cases.targets[:, 0].astype(np.int64)
     tables = (policy.network, policy.race, policy.estimator, policy.battery)
     right = answered(*tables, inputs, states, targets, measurements, samples)
     noise = policy.noise
     if noise is not None and noise != NoiseTables.of(noise.factors, noise.on_clamped):
         return False
     fields = (field.name for field in dataclasses.fields(Cases))
-    return all(np.array_equal(getattr(right, name), getattr(own, name)) for name in fields)
+    return all(np.array_equal(getattr(right, name), getattr(cases, name)) for name in fields)

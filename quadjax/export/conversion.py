@@ -53,7 +53,7 @@ class Converted:
     fixed: FixedPolicy
     proof: Proof
     rollouts: Rollouts | None  # of the policy's own race; None where its cases were given
-    own: OwnRace
+    race: OwnRace
     options: Options
 
     @property
@@ -73,14 +73,14 @@ class Converted:
         if not target.as_file:
             texts[f"{self.options.name}.h"] = policy_header(self.fixed, self.words, self._facts())
         if target.glue and not target.as_file:
-            texts["quadjax_policy.h"] = glue_header(self.fixed, self.own)
+            texts["quadjax_policy.h"] = glue_header(self.fixed, self.race)
         placed = {f"{target.folder}/{name}": text for name, text in texts.items()}
         every = runtime_files(target) | placed
         if target.glue == "paparazzi":  # the autopilot calls the module at the estimators' rate
             module, rate = f"{target.folder}/quadjax.xml", call_frequency(self.fixed)
             every[module] = every[module].replace('freq="512"', f'freq="{rate}"')
         words = {f"{self.options.name}.qjp": self.words}
-        if (text := inner_loop(self.fixed, self.own, target)) is not None:
+        if (text := inner_loop(self.fixed, self.race, target)) is not None:
             every[INNER_LOOP] = text
         return {name: text.encode() for name, text in every.items()} | words
 
@@ -94,7 +94,7 @@ class Converted:
             f"Policy   {self.file}, SHA-256 {self.fixed.policy_hash}",
             f"Source   {source or 'not stated in the policy file'}",
             f"Format   words of version {self.fixed.version}; {self.fixed.actions} actions",
-            f"Track    {self.own.track}; vehicle {self.own.vehicle}",
+            f"Track    {self.race.track}; vehicle {self.race.vehicle}",
         )
         lines = (textwrap.wrap(fact, COMMENT_WIDTH, subsequent_indent=" " * 9) for fact in facts)
         return sum(lines, [])
@@ -107,7 +107,7 @@ def sha256(path: Path) -> str:
 
 def convert_policy(
     policy: Policy,
-    own: OwnRace,
+    race: OwnRace,
     options: Options,
     file: str,
     path: Path,
@@ -118,7 +118,7 @@ def convert_policy(
 
     Args:
         policy: the policy.
-        own: its race.
+        race: its race.
         options: of the export.
         file: name of the policy file, for the headers.
         path: of the policy file.
@@ -128,18 +128,18 @@ def convert_policy(
     Raises:
         InputError: see ``convert.export_c``.
     """
-    network = convert(policy, track_ranges(policy.layout, own.params.track) | options.ranges)
+    network = convert(policy, track_ranges(policy.layout, race.params.track) | options.ranges)
     proof = prove(network, policy)
-    race = make_tables(network.box, policy, own.choices, own.params)
-    vehicle, observed = own.params.vehicle, observed_fields(race)
+    race_tables = make_tables(network.box, policy, race.choices, race.params)
+    vehicle, observed = race.params.vehicle, observed_fields(race_tables)
     target = target_of(options.target, policy.vehicle)
     if target.glue == "paparazzi" and observed & {*DISTURBANCES, HIGHEST_RPM}:
         target = dataclasses.replace(target, calls=options.sample_rate)
-    check_target(target, network, race)
+    check_target(target, network, race_tables)
     if rollouts is None and cases is None:
-        rollouts = flights.simulate(own)
+        rollouts = flights.simulate(race)
         if not options.allow_unfinished:
-            flights.check_finished(rollouts.laps, own, file)
+            flights.check_finished(rollouts.laps, race, file)
         network.box.check(rollouts.observations)
         rollouts = rollouts.thinned()
     estimator = battery = None
@@ -147,13 +147,13 @@ def convert_policy(
         numbers = (options.sample_rate, options.cutoff)
         estimator = make_estimator(vehicle.constants, vehicle.residual, *numbers)
     if HIGHEST_RPM in observed:
-        assert own.params.battery is not None
-        first = float(middle_limit(own.params.battery))
+        assert race.params.battery is not None
+        first = float(middle_limit(race.params.battery))
         battery = make_battery(vehicle.constants, first, options.sample_rate)
-    tables = (network, race, estimator, battery)
+    tables = (network, race_tables, estimator, battery)
     if cases is None:
         assert rollouts is not None
         cases = make_cases(*tables, rollouts.observations, rollouts.states, rollouts.targets)
     noise = make_noise(policy, network) if options.sampled else None
-    fixed = FixedPolicy(options.name, *tables, sha256(path), own.time_step, cases, noise)
-    return Converted(policy, file, fixed, proof, rollouts, own, options)
+    fixed = FixedPolicy(options.name, *tables, sha256(path), race.time_step, cases, noise)
+    return Converted(policy, file, fixed, proof, rollouts, race, options)

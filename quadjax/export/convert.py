@@ -135,7 +135,7 @@ def export_c(
         options = Options(symbol, *numbers, *allowed, target, sampled)
         converted = convert_file(path, options, config, track)
         _check_rates(converted, sample_rate, cutoff)
-        source = provenance(converted.own.config, path, SEED)
+        source = provenance(converted.race.config, path, SEED)
         report = make_report(converted) | {"provenance": source}
         export = Export(folder, converted, report)
         with writing(folder), replacement(folder, _optional(symbol)) as new:
@@ -155,11 +155,11 @@ def convert_file(
     policy = Policy.load(path)
     check_policy(policy)
     target_of(options.target, policy.vehicle)
-    found, origin = race_of_policy(policy, path.name, config, track)
-    own = own_race(found, policy, origin, path.name)
+    config, origin = race_of_policy(policy, path.name, config, track)
+    race = own_race(config, policy, origin, path.name)
     if not options.allow_other_race:
-        check_race(policy, own, path)
-    return convert_policy(policy, own, options, path.name, path, rollouts)
+        check_race(policy, race, path)
+    return convert_policy(policy, race, options, path.name, path, rollouts)
 
 
 def _check_rates(converted: Converted, sample_rate: float | None, cutoff: float | None) -> None:
@@ -190,8 +190,8 @@ def _optional(name: str) -> tuple[str, ...]:
     parts = ("", "_race", "_estimator", "_battery")  # of earlier releases
     files = [f"{name}{part}.{end}" for part in parts for end in "ch"]
     for target in TARGETS.values():
-        own = ("qj_sizes.h", "quadjax_policy.h", f"{name}.h")
-        files += [*runtime_files(target), *(f"{target.folder}/{file}" for file in own)]
+        sources = ("qj_sizes.h", "quadjax_policy.h", f"{name}.h")
+        files += [*runtime_files(target), *(f"{target.folder}/{file}" for file in sources)]
     return (*dict.fromkeys(files), RESIDUAL_FILE, ROLLOUTS_FILE, INNER_LOOP)
 
 
@@ -209,11 +209,11 @@ def _write(export: Export, folder: Path, policy: Path) -> None:
     converted, name = export.converted, export.name
     files = converted.files() | {
         f"{name}_report.txt": export.text.encode(),
-        CONFIG_FILE: converted.own.text.encode(),
+        CONFIG_FILE: converted.race.text.encode(),
     }
     for file, data in files.items():
         write_bytes(folder / file, data)
-    for file, source in ((POLICY_FILE, policy), (RESIDUAL_FILE, converted.own.residual)):
+    for file, source in ((POLICY_FILE, policy), (RESIDUAL_FILE, converted.race.residual)):
         if source is not None:
             with whole_file(folder / file) as temporary:
                 shutil.copyfile(source, temporary)

@@ -78,9 +78,9 @@ def forward_rows(network: FixedNetwork, q: np.ndarray) -> np.ndarray:
     """
     rows = [np.zeros((0, network.outputs + 1), np.int32)]
     for start in range(0, len(q), CHUNK):
-        found, trace = forward_traced(network, q[start : start + CHUNK])
+        values, trace = forward_traced(network, q[start : start + CHUNK])
         traced = digest(np.concatenate(trace, axis=1)).view(np.int32)
-        rows.append(np.column_stack([found, traced]))
+        rows.append(np.column_stack([values, traced]))
     return np.concatenate(rows)
 
 
@@ -121,9 +121,9 @@ def fixed_point_fly(policy: Policy, ranges: dict[str, float] | None = None) -> A
     """
     actor = fixed_point_actor(policy, ranges)
 
-    def act(own: Pilot, observation: jax.Array, _noise: jax.Array) -> jax.Array:
-        command = actor(pilot.see(own, observation))
-        return 2.0 * (command - own.low) / (own.high - own.low) - 1.0
+    def act(scaling: Pilot, observation: jax.Array, _noise: jax.Array) -> jax.Array:
+        command = actor(pilot.see(scaling, observation))
+        return 2.0 * (command - scaling.low) / (scaling.high - scaling.low) - 1.0
 
     return act
 

@@ -58,20 +58,20 @@ class Rollouts:
         )
 
 
-def simulate(own: OwnRace, runs: int = RUNS, laps: int = LAPS, seed: int = SEED) -> Rollouts:
+def simulate(race: OwnRace, runs: int = RUNS, laps: int = LAPS, seed: int = SEED) -> Rollouts:
     """Simulate the float policy's mean actions from the random starts of training.
 
     The rows are those of all flights but the ones that lost control, or of all if every one did.
     """
-    result, trace = _fly(own, pilot.fly, runs, laps, seed, trace=True)
+    result, trace = _fly(race, pilot.fly, runs, laps, seed, trace=True)
     assert trace is not None
     controlled = np.array([crash not in LOST_CONTROL for crash in result.crashes])
     going = ~np.asarray(trace.over) & (controlled if controlled.any() else ~controlled)
-    states, targets = _states(trace, own, going, seed), np.asarray(trace.target)[going]
+    states, targets = _states(trace, race, going, seed), np.asarray(trace.target)[going]
     earlier = longest = None
-    if depth := own.choices.layout.depth:
+    if depth := race.choices.layout.depth:
         earlier, longest = _earlier(going, depth)
-    observations = observe(own, states, targets, earlier)
+    observations = observe(race, states, targets, earlier)
     return Rollouts(observations, states, targets, result, len(states), longest)
 
 
@@ -89,17 +89,17 @@ def _earlier(going: np.ndarray, depth: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _fly(
-    own: OwnRace, actor: Actor, runs: int, laps: int, seed: int, **options: bool
+    race: OwnRace, actor: Actor, runs: int, laps: int, seed: int, **options: bool
 ) -> tuple[Laps, Trace | None]:
     options = {"from_hover": False} | options
     key = jax.random.key(seed)
-    return fly_laps(own.choices, own.params, actor, own.pilot, key, laps, runs, **options)
+    return fly_laps(race.choices, race.params, actor, race.pilot, key, laps, runs, **options)
 
 
-def _states(trace: Trace, own: OwnRace, going: np.ndarray, seed: int) -> np.ndarray:
+def _states(trace: Trace, race: OwnRace, going: np.ndarray, seed: int) -> np.ndarray:
     """States (n, state_size) float32 of the steps (time, runs) that are ``going``."""
-    model = own.choices.model
-    sizes = state_sizes(own.choices.layout, model)
+    model = race.choices.model
+    sizes = state_sizes(race.choices.layout, model)
     parts: dict[str, Any] = {
         name: getattr(trace, name) for name in ("position", "velocity", "euler", "rates")
     }
@@ -108,23 +108,23 @@ def _states(trace: Trace, own: OwnRace, going: np.ndarray, seed: int) -> np.ndar
         q = quaternion.of_euler(Vec3(*np.moveaxis(np.asarray(trace.euler, np.float32), 1, 0)))
         parts["quaternion"] = np.stack([np.asarray(x) for x in jax.tree.leaves(q)], axis=1)
     if LAST_COMMAND in sizes:
-        low, high = command_ranges(own.choices, own.params)
+        low, high = command_ranges(race.choices, race.params)
         first = np.broadcast_to(0.5 * (low + high)[:, None], trace.command.shape[1:])
         parts[LAST_COMMAND] = np.concatenate([first[None], np.asarray(trace.command)[:-1]])
     if HIGHEST_RPM in sizes:
         parts[HIGHEST_RPM] = np.asarray(trace.highest_rpm)[:, None]
-    rows = {name: np.moveaxis(np.asarray(part), 1, -1)[going] for name, part in parts.items()}
+    rows = {name: np.moveaxis(np.asarray(array), 1, -1)[going] for name, array in parts.items()}
     if model.disturbed:
         # Disturbances are constant in a flight; they are drawn again from their ranges.
         rng, names = np.random.default_rng(seed), itertools.chain(*DISTURBANCES.values())
-        half = np.array([float(getattr(own.params.disturbance, name)) for name in names])
-        drawn = rng.uniform(-half, half, (going.shape[1], 4))[np.nonzero(going)[1]]
-        rows["moment_ext"] = drawn[:, :3]
-        rows["force_ext"] = np.append(np.zeros((len(drawn), 2)), drawn[:, 3:], axis=1)
+        half = np.array([float(getattr(race.params.disturbance, name)) for name in names])
+        disturbances = rng.uniform(-half, half, (going.shape[1], 4))[np.nonzero(going)[1]]
+        rows["moment_ext"] = disturbances[:, :3]
+        rows["force_ext"] = np.append(np.zeros((len(disturbances), 2)), disturbances[:, 3:], axis=1)
     return np.concatenate([rows[name] for name in sizes], axis=1).astype(np.float32)
 
 
-def check_finished(laps: Laps | None, own: OwnRace, who: str) -> str:
+def check_finished(laps: Laps | None, race: OwnRace, who: str) -> str:
     """Check that at least the fraction ``FINISHED`` of a policy's flights finish.
 
     Returns:
@@ -136,7 +136,7 @@ def check_finished(laps: Laps | None, own: OwnRace, who: str) -> str:
     assert laps is not None
     said = f"{laps.finished} of {len(laps.crashes)} flights finish {laps.lap_times.shape[1]} laps"
     if laps.finished < FINISHED * len(laps.crashes):
-        where = f"track {own.track} ({own.origin})"
+        where = f"track {race.track} ({race.origin})"
         raise InputError(
             f"{who}: {said} of {where}, expected {FINISHED:.0%}; allow_unfinished=True accepts it"
         )
@@ -144,27 +144,27 @@ def check_finished(laps: Laps | None, own: OwnRace, who: str) -> str:
 
 
 def fly_float_and_fixed(
-    own: OwnRace, policy: Policy, ranges: dict[str, float], runs: int, laps: int = 6, seed: int = 1
+    race: OwnRace, policy: Policy, ranges: dict[str, float], runs: int, laps: int = 6, seed: int = 1
 ) -> tuple[Laps, Laps]:
     """Laps of the float policy and of the fixed-point one, from the same starts."""
     actors = (pilot.fly, fixed_point_fly(policy, ranges))
-    as_float, as_fixed = (_fly(own, actor, runs, laps, seed)[0] for actor in actors)
+    as_float, as_fixed = (_fly(race, actor, runs, laps, seed)[0] for actor in actors)
     return as_float, as_fixed
 
 
-def wander(own: OwnRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def wander(race: OwnRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """A path to every gate in turn, partly through the openings and partly outside them.
 
     Returns:
         Positions (steps, 3) float32, and the target (steps,) after each by the simulator's rules.
     """
     rng = np.random.default_rng(seed)
-    track = own.params.track
+    track = race.params.track
     centers = np.stack([np.asarray(x) for x in track.position.components()], axis=1)
     ahead = np.stack([np.asarray(track.cos_yaw), np.asarray(track.sin_yaw)], axis=1)
     half = np.stack([np.asarray(track.half_width), np.asarray(track.half_height)], axis=1)
 
-    test = "world_box" if own.params.rules.gate_test == "world_box" else "square"
+    test = "world_box" if race.params.rules.gate_test == "world_box" else "square"
 
     def follow(carry: Carry, after: jax.Array) -> tuple[Carry, jax.Array]:
         before, target = carry
@@ -182,8 +182,8 @@ def wander(own: OwnRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndar
         way = np.array([*ahead[target], 0.0])
         goal = centers[target] + np.array([-way[1] * aside, way[0] * aside, above])
         ends = np.array([position, goal - 0.5 * way, goal + 0.5 * way])
-        part = np.linspace(0.04, 1.0, 25)[:, None]
-        legs = [a + part * (b - a) for a, b in itertools.pairwise(ends)]
+        fractions = np.linspace(0.04, 1.0, 25)[:, None]
+        legs = [a + fractions * (b - a) for a, b in itertools.pairwise(ends)]
         leg = np.concatenate(legs).astype(np.float32)
         _, after = follow((position, jnp.int32(target)), leg)
         positions += list(leg)

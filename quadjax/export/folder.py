@@ -37,9 +37,9 @@ def read_folder(path: Path, config: Config | Path | str | None = None) -> Conver
         config = load_config(path / CONFIG_FILE, code=())
     elif not isinstance(config, Config):
         config = load_config(config)
-    own = own_race(config, policy, CONFIG_FILE, file)
+    race = own_race(config, policy, CONFIG_FILE, file)
     cases = read_qjp(path / f"{options.name}.qjp").cases
-    converted = convert_policy(policy, own, options, file, path / POLICY_FILE, cases=cases)
+    converted = convert_policy(policy, race, options, file, path / POLICY_FILE, cases=cases)
     texts = {f"{options.name}_report.txt": text.encode("utf-8")}
     for name, content in (converted.files() | texts).items():
         check_file(path / name)

@@ -47,12 +47,12 @@ rpm_min to rpm_max: at hover and at the lowest and the highest command.""",
 }
 
 
-def inner_loop(policy: FixedPolicy, own: OwnRace, target: Target) -> str | None:
+def inner_loop(policy: FixedPolicy, race: OwnRace, target: Target) -> str | None:
     """The text of the file; None for a policy that commands no inner loop.
 
     Args:
         policy: the fixed-point policy.
-        own: its race, whose vehicle file has the airframe if it has the model ``motor``.
+        race: its race, whose vehicle file has the airframe if it has the model ``motor``.
         target: for which the policy is exported.
     """
     network = policy.network
@@ -60,7 +60,7 @@ def inner_loop(policy: FixedPolicy, own: OwnRace, target: Target) -> str | None:
         return None
     unit, paparazzi = 2.0**network.fraction_bits, target.glue == "paparazzi"
     low, high = ((ends / unit).tolist() for ends in (network.command_low, network.command_high))
-    constants = own.params.vehicle.constants
+    constants = race.params.vehicle.constants
     commands = []
     for (name, axis), ends in zip(AXES.items(), zip(low, high, strict=True), strict=True):
         is_rate = name != "thrust"
@@ -69,8 +69,8 @@ def inner_loop(policy: FixedPolicy, own: OwnRace, target: Target) -> str | None:
         if paparazzi and is_rate:
             command |= {"scale": BFP_RATE, "integer": "int32_t, INT32_RATE_FRAC"}
         commands.append(command)
-    held = own.choices.layout.counts_steps or not target.every_call
-    training, calls = 1.0 / own.time_step, call_frequency(policy) if target.calls else None
+    held = race.choices.layout.counts_steps or not target.every_call
+    training, calls = 1.0 / race.time_step, call_frequency(policy) if target.calls else None
     tree: dict[str, object] = {
         "format": FORMAT,
         "policy": policy.name,
@@ -81,8 +81,8 @@ def inner_loop(policy: FixedPolicy, own: OwnRace, target: Target) -> str | None:
         "training_hz": round(training, 3),
         "response": {"rates": _number(constants.tau_rate), "thrust": _number(constants.tau_thrust)},
     }
-    race: Any = parse_yaml(own.text, "the race's config")
-    motor: dict[str, float] | None = (race["vehicle"].get("models") or {}).get("motor")
+    config: Any = parse_yaml(race.text, "the race's config")
+    motor: dict[str, float] | None = (config["vehicle"].get("models") or {}).get("motor")
     if motor:
         tree["airframe"] = {name: motor[name] for name in (*EFFECTIVENESS, *RANGE)}
         thrusts = {"hover": _number(constants.g), "low": low[3], "high": high[3]}

@@ -112,14 +112,14 @@ def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> C
     )
 
 
-def check_race(policy: Policy, own: OwnRace, file: Path) -> str:
+def check_race(policy: Policy, race: OwnRace, file: Path) -> str:
     """Check that a race is the one in the policy file, where the policy was trained.
 
     Vehicle, residual, track, gate test and time step are compared.
 
     Args:
         policy: the policy.
-        own: the race of the export.
+        race: the race of the export.
         file: the policy file.
 
     Returns:
@@ -129,45 +129,45 @@ def check_race(policy: Policy, own: OwnRace, file: Path) -> str:
         InputError: the first difference.
     """
     named, difference = policy.source.get("residual"), None
-    has_residual = own.params.vehicle.residual is not None
+    has_residual = race.params.vehicle.residual is not None
     if policy.config is None and "residual" in policy.source and bool(named) != has_residual:
         has, compared = "no residual" if named else "a residual", ""
         difference = f"vehicle.residual is {named or 'null'} in training, {has} here"
     elif policy.config is not None or preset_of(policy):
         config, _ = race_of_policy(policy, file.name)
         trained = _facts(own_race(config, policy, "the policy file", file.name))
-        difference = next(_differences(trained, _facts(own)), None)
+        difference = next(_differences(trained, _facts(race)), None)
         compared = "vehicle, track, gate test and time step are those of the policy file"
     else:
         compared = "the policy file names no race"
     if difference is not None:
         raise InputError(
-            f"{file.name}: trained in another race than {own.origin}: {difference}; "
+            f"{file.name}: trained in another race than {race.origin}: {difference}; "
             "allow_other_race=True accepts it"
         )
     return compared
 
 
-def _differences(trained: Facts, own: Facts) -> Iterator[str]:
+def _differences(trained: Facts, exported: Facts) -> Iterator[str]:
     """The differences between the properties of two races, as text."""
-    for name in trained | own:
-        there, here = pair = [np.asarray(facts.get(name, "none")) for facts in (trained, own)]
+    for name in trained | exported:
+        there, here = pair = [np.asarray(facts.get(name, "none")) for facts in (trained, exported)]
         if not np.array_equal(there, here):
             large = max(x.size for x in pair) > 8
             texts = ["other numbers" if large and x.dtype.kind != "U" else x for x in pair]
             yield f"{name} is {texts[0]} in training, {texts[1]} here"
 
 
-def _facts(own: OwnRace) -> Facts:
+def _facts(race: OwnRace) -> Facts:
     """The properties by which two races are compared."""
-    params = own.params
-    parts = {"vehicle": params.vehicle, "track": params.track, "time_step": own.time_step}
-    if HIGHEST_RPM in own.choices.layout:
+    params = race.params
+    parts = {"vehicle": params.vehicle, "track": params.track, "time_step": race.time_step}
+    if HIGHEST_RPM in race.choices.layout:
         parts["battery"] = params.battery
     leaves = jax.tree_util.tree_leaves_with_path(parts)
     keystr = functools.partial(jax.tree_util.keystr, simple=True, separator=".")
     facts: Facts = {
-        "vehicle.model": own.choices.model.name,
+        "vehicle.model": race.choices.model.name,
         "gate_test": params.rules.gate_test,
         "the number of gates": len(params.track.yaw),
     }

@@ -114,7 +114,7 @@ class RaceTables:
     @property
     def starts(self) -> dict[str, int]:
         """Index of the first number of each field of the state."""
-        ends = itertools.accumulate(len(own) for own in self.fields.values())
+        ends = itertools.accumulate(len(exponents) for exponents in self.fields.values())
         return dict(zip(self.fields, (0, *ends), strict=False))
 
     @property
@@ -212,8 +212,8 @@ def _spans(policy: Policy, box: InputBox) -> dict[str, Spans]:
     for field in policy.layout.fields:
         base = split_name(field.name)[0]
         if base in box.scaled:
-            own = [_span(policy, box, field, number) for number in range(field.size)]
-            if spans.setdefault(base, own) != own:
+            span = [_span(policy, box, field, number) for number in range(field.size)]
+            if spans.setdefault(base, span) != span:
                 raise InputError(f"the policy's layout: {field.name} has another span than {base}")
     return spans
 
@@ -282,8 +282,8 @@ def _state_fields(
     exponents[LAST_COMMAND] = exponents.get(LAST_ACTION, [])
     fields = {}
     for name, size in state_sizes(box.layout, model).items():
-        own = exponents.get(name) or [UNOBSERVED]
-        fields[name] = tuple((own * size)[:size])  # of a force, only one number may be observed
+        numbers = exponents.get(name) or [UNOBSERVED]
+        fields[name] = tuple((numbers * size)[:size])  # of a force, only one number may be observed
     return fields
 
 
@@ -297,7 +297,7 @@ def _inputs(race: RaceTables, spans: dict[str, Spans]) -> tuple[Input, ...]:
             size = 4 if kind == "rotation" else field.size
             numbers = [starts[source] + i for i in range(size)]
         elif name in spans:
-            axes = ["xyz".index(part[-1]) for part in DISTURBANCES.get(name, ())]
+            axes = ["xyz".index(disturbance[-1]) for disturbance in DISTURBANCES.get(name, ())]
             first = starts[LAST_COMMAND if name == LAST_ACTION else name]
             kind, numbers = "scaled", [first + i for i in axes or range(field.size)]
         else:

@@ -86,25 +86,25 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
     model = MODELS[policy.vehicle]
     without = {CONSTANTS, *(() if model.has_battery else (HIGHEST_RPM,))}
     without |= set() if model.disturbed else set(DISTURBANCES)
-    known = {name: f for name, f in fields_of(model).items() if name not in without}
+    fields = {name: f for name, f in fields_of(model).items() if name not in without}
     for field in policy.layout.fields:
         base, lag = split_name(field.name)
         fits = not lag or (
-            base in known
-            and known[base].has_history
+            base in fields
+            and fields[base].has_history
             and (base in policy.layout or base == LAST_ACTION)
         )
-        if base not in known or known[base].size != field.size or not fits:
+        if base not in fields or fields[base].size != field.size or not fits:
             raise InputError(
                 f"the policy observes {field.name!r} ({field.size} numbers), which has no C; "
-                f"supported: {', '.join(f'{f.name} ({f.size})' for f in known.values())}"
+                f"supported: {', '.join(f'{f.name} ({f.size})' for f in fields.values())}"
             )
-    own = {f.name: float(f.range) for f in policy.layout.fields if not split_name(f.name)[1]}
+    spans = {f.name: float(f.range) for f in policy.layout.fields if not split_name(f.name)[1]}
     for name, value in (overrides or {}).items():
-        if name not in own:
-            raise InputError(f"range {name}={value:g}: unknown name, allowed: {', '.join(own)}")
-        own[name] = value
-    ranges = {name: field.range for name, field in known.items()} | own
+        if name not in spans:
+            raise InputError(f"range {name}={value:g}: unknown name, allowed: {', '.join(spans)}")
+        spans[name] = value
+    ranges = {name: field.range for name, field in fields.items()} | spans
     ranges |= {name: ranges[split_name(name)[0]] for name in policy.layout.names}
     for name, value in ranges.items():
         if not SMALLEST <= value <= LARGEST or math.frexp(value)[0] != 0.5:

@@ -207,10 +207,10 @@ class _Reader:
 
     def estimator(self) -> EstimatorTables:
         """The estimator of the disturbances."""
-        own = self.take(STRUCTS["estimator"], 1)[0]
-        terms = self.take(STRUCTS["term"], own["terms"])
-        shapes = [self.take(STRUCTS["layer"], own[f"{name}_layers"]) for name in _NETS]
-        shifts = [tuple(np.ravel(own[f"{name}_shift"]).tolist()) for name in _NETS]
+        header = self.take(STRUCTS["estimator"], 1)[0]
+        terms = self.take(STRUCTS["term"], header["terms"])
+        shapes = [self.take(STRUCTS["layer"], header[f"{name}_layers"]) for name in _NETS]
+        shifts = [tuple(np.ravel(header[f"{name}_shift"]).tolist()) for name in _NETS]
         nets = [
             FixedResidual(*self.layers(shape), shift)
             for shape, shift in zip(shapes, shifts, strict=True)
@@ -220,17 +220,17 @@ class _Reader:
             raise InputError("its estimator has one residual network, allowed: none or two")
         model = np.zeros((len(CHANNELS) + 3, len(MONOMIALS)), np.int64)
         model[terms["channel"], terms["monomial"]] = terms["factor"]
-        rpm = Rescale(*(int(own[f"rpm_{key}"]) for key in ("middle", "factor", "shift")))
+        rpm = Rescale(*(int(header[f"rpm_{key}"]) for key in ("middle", "factor", "shift")))
         return EstimatorTables(
-            sample_rate=1e9 / int(own["period_ns"]),
+            sample_rate=1e9 / int(header["period_ns"]),
             cutoff=0.0,
-            exponents=tuple(own["exponents"].tolist()),
-            channel_exponents=tuple(own["channels"].tolist()),
+            exponents=tuple(header["exponents"].tolist()),
+            channel_exponents=tuple(header["channels"].tolist()),
             model=model[: len(CHANNELS)],
             differentiated=model[len(CHANNELS) :],
-            a1=int(own["a1"]),
-            a2=int(own["a2"]),
-            gain=int(own["gain"]),
+            a1=int(header["a1"]),
+            a2=int(header["a2"]),
+            gain=int(header["gain"]),
             rpm_input=rpm if nets else None,
             thrust=nets[0] if nets else None,
             moment=nets[1] if nets else None,
@@ -238,12 +238,12 @@ class _Reader:
 
     def battery(self) -> BatteryTables:
         """The estimator of the highest rpm."""
-        own = self.take(STRUCTS["battery"], 1)[0]
+        header = self.take(STRUCTS["battery"], 1)[0]
         low_pass, lead, gain = (
-            Rescale(0, int(own[name]), int(own[f"{name}_shift"])) for name in FACTORS
+            Rescale(0, int(header[name]), int(header[f"{name}_shift"])) for name in FACTORS
         )
-        ends = [int(own[name]) for name in ("lowest", "highest", "first")]
-        rate, exponent = 1e9 / int(own["period_ns"]), int(own["exponent"])
+        ends = [int(header[name]) for name in ("lowest", "highest", "first")]
+        rate, exponent = 1e9 / int(header["period_ns"]), int(header["exponent"])
         return BatteryTables(rate, exponent, low_pass, lead, gain, *ends)
 
     def noise(self) -> NoiseTables:
@@ -312,6 +312,6 @@ def _input(part: np.ndarray, numbers: np.ndarray) -> Input:
     if kind in VECTORS:
         sources = [sources[0] + i for i in range(4 if kind == "rotation" else 3)]
     scales = [Rescale(*row[1:]) for row in rows] if kind == "scaled" else []
-    rescales = tuple(None if own == ZERO else own for own in scales)
+    rescales = tuple(None if rescale == ZERO else rescale for rescale in scales)
     name = _string(part["name"])
     return Input(name, kind, index, tuple(sources), rescales, int(part["lag"]))

@@ -105,10 +105,10 @@ def call_frequency(policy: FixedPolicy) -> int:
     return round(rates[0]) if rates else 512
 
 
-def glue_header(policy: FixedPolicy, own: OwnRace) -> str:
+def glue_header(policy: FixedPolicy, race: OwnRace) -> str:
     """``quadjax_policy.h``: what the glue of an autopilot needs of its policy."""
-    track = own.params.track
-    drone = episode.hover_start(own.choices, own.params).drone
+    track = race.params.track
+    drone = episode.hover_start(race.choices, race.params).drone
 
     def numbers(values: Iterable[object]) -> str:
         return "{" + ", ".join(f"{float(np.asarray(x))!r}F" for x in values) + "}"

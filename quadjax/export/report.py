@@ -34,7 +34,7 @@ def make_report(converted: Converted) -> Json:
     fixed, rollouts = converted.fixed, converted.rollouts
     assert rollouts is not None and rollouts.laps is not None
     laps = rollouts.laps
-    network, box, own = fixed.network, fixed.network.box, converted.own
+    network, box, race = fixed.network, fixed.network.box, converted.race
     unit = 2.0**network.fraction_bits
     inputs = zip(box.layout.labels, box.ranges.tolist(), box.units, strict=True)
     samples = {
@@ -55,9 +55,9 @@ def make_report(converted: Converted) -> Json:
         "policy": converted.file,
         "policy_sha256": fixed.policy_hash,
         "source": converted.policy.source,
-        "track": own.track,
-        "config": own.origin,
-        "config_sha256": hashlib.sha256(own.text.encode()).hexdigest(),
+        "track": race.track,
+        "config": race.origin,
+        "config_sha256": hashlib.sha256(race.text.encode()).hexdigest(),
         "deterministic": fixed.noise is None,
         "options": dataclasses.asdict(converted.options),
         "estimator": None,
@@ -72,7 +72,7 @@ def make_report(converted: Converted) -> Json:
     }
     if fixed.estimator is not None:
         ranges = [2.0**e for e in fixed.estimator.channel_exponents]
-        residual = own.residual and sha256(own.residual)
+        residual = race.residual and sha256(race.residual)
         report["estimator"] = {"residual_sha256": residual, "channel_ranges": ranges}
     if (battery := fixed.battery) is not None:
         report["battery"] = {

@@ -57,7 +57,7 @@ def _attitude(values: dict[str, list[jax.Array]], as_quaternion: bool) -> list[j
 
 
 def observe(
-    own: OwnRace, states: np.ndarray, targets: np.ndarray, earlier: np.ndarray | None = None
+    race: OwnRace, states: np.ndarray, targets: np.ndarray, earlier: np.ndarray | None = None
 ) -> np.ndarray:
     """Observations (n, inputs) float32 of states (n, state_size) towards targets (n,).
 
@@ -65,7 +65,7 @@ def observe(
     ``earlier`` has the rows (n, depth) of the states of 1, 2 .. steps before; by default the states
     are those of one flight from its start on.
     """
-    choices, params = own.choices, own.params
+    choices, params = race.choices, race.params
     model, depth = choices.model, choices.layout.depth
     if earlier is None:
         earlier = np.maximum(np.arange(len(states))[:, None] - 1 - np.arange(depth), 0)
@@ -88,16 +88,16 @@ def observe(
         estimate = None
         if params.estimator is not None and model.disturbed:
             estimate = Estimate(None, *now.drone.disturbance)
-        race = RaceState(now.drone, target, zero, zero, None, estimate, now.action, past=past)
+        race_state = RaceState(now.drone, target, zero, zero, None, estimate, now.action, past=past)
         if params.battery is not None and HIGHEST_RPM in sizes:
             (highest,) = _by_name(sizes, state)[HIGHEST_RPM]
-            race = race.replace(battery=_battery(params.battery, highest))
-        return pilot.see(own.pilot, environment.observe(choices, params, race))
+            race_state = race_state.replace(battery=_battery(params.battery, highest))
+        return pilot.see(race.pilot, environment.observe(choices, params, race_state))
 
     return np.asarray(observed(states, targets, earlier, states))
 
 
-def observe_float64(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
+def observe_float64(race: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """As ``observe``, with states and parameters in float64: the rounding of float32 differs."""
 
     def exact(leaf: Any) -> Any:
@@ -105,8 +105,8 @@ def observe_float64(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np
         return array.astype(np.float64) if array.dtype == np.float32 else leaf
 
     with jax.enable_x64(True):
-        params, of_pilot = jax.tree.map(exact, (own.params, own.pilot))
-        same = dataclasses.replace(own, params=params, pilot=of_pilot)
+        params, of_pilot = jax.tree.map(exact, (race.params, race.pilot))
+        same = dataclasses.replace(race, params=params, pilot=of_pilot)
         return observe(same, states.astype(np.float64), targets)
 
 

@@ -37,7 +37,7 @@ def target_of(name: str, model: str) -> Target:
         return target
     if target.name == DEFAULT_TARGET:
         return dataclasses.replace(TARGETS["cortex-m7"], name=name, processor=target.processor)
-    allowed = [own for own in MODELS if kind_of(own) in target.kinds]
+    allowed = [name for name in MODELS if kind_of(name) in target.kinds]
     raise InputError(
         f"--target {name}: the policy's vehicle model is {model!r}, allowed: {', '.join(allowed)}; "
         "quadjax train e2e vehicle=5inch trains such a policy"
@@ -55,8 +55,8 @@ def observed_fields(race: RaceTables) -> set[str]:
         source
         for part in race.inputs
         if part.kind != "gate"
-        for source, own in zip(part.sources, part.rescales or (True,) * 4, strict=False)
-        if own is not None
+        for source, rescale in zip(part.sources, part.rescales or (True,) * 4, strict=False)
+        if rescale is not None
     }
     return {
         name

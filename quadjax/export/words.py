@@ -266,7 +266,7 @@ def _sizes(layers: tuple[FixedLayer, ...]) -> np.ndarray:
 def _observation(race: RaceTables) -> Iterator[np.ndarray]:
     """Fields and ranges of the state; fields of the observation, and their numbers."""
     codes = [1 + STATE_FIELDS.index(name) for name in race.fields]
-    sizes = [len(own) for own in race.fields.values()]
+    sizes = [len(exponents) for exponents in race.fields.values()]
     yield _rows("field", len(codes), code=codes, start=list(race.starts.values()), size=sizes)
     yield _words(race.exponents)
     parts, layout = race.inputs, race.box.layout
@@ -284,9 +284,9 @@ def _observation(race: RaceTables) -> Iterator[np.ndarray]:
     for part, size in zip(parts, sizes, strict=True):
         # Of a rotation, each input has the first number of its source.
         sources = part.sources if part.kind != "rotation" else part.sources[:1] * size
-        rescales = [own or ZERO for own in part.rescales] or [ZERO] * size
+        rescales = [rescale or ZERO for rescale in part.rescales] or [ZERO] * size
         columns = {
-            name: [getattr(own, name) for own in rescales] for name in ("middle", "factor", "shift")
+            name: [getattr(x, name) for x in rescales] for name in ("middle", "factor", "shift")
         }
         yield _rows("input", size, source=sources, **columns)
 

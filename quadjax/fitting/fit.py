@@ -265,8 +265,8 @@ class _Fits:
         for estimate in lags:
             of = "rate" if estimate.group == "rate" else "motor"
             names = vehicle.models[of]
-            found = {name: x for name, x in estimate.constants.items() if name in names}
-            vehicle = vehicle.with_constants(of, names | found)
+            constants = {name: x for name, x in estimate.constants.items() if name in names}
+            vehicle = vehicle.with_constants(of, names | constants)
         if vehicle.fitted_speed is None:
             return vehicle
         tests = self.config.split.test_flights

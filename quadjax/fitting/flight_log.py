@@ -107,8 +107,8 @@ def _expand(folder: Path, pattern: str) -> list[Path]:
         if whole.is_file() or not pattern:
             return [whole] if pattern else []
         anchor = Path(whole.anchor)
-        found = anchor.glob(str(whole.relative_to(anchor)))
-        return sorted(path for path in found if path.is_file())
+        paths = anchor.glob(str(whole.relative_to(anchor)))
+        return sorted(path for path in paths if path.is_file())
     except (IndexError, RuntimeError, ValueError):  # the root, ~ of no user, or no pattern
         return []
 

@@ -73,15 +73,15 @@ def signals_of(quantities: Arrays, flying: np.ndarray, rate: float) -> Signals |
     airborne = np.flatnonzero(flying)
     if not len(airborne):
         return None
-    part = slice(airborne[0], min(airborne[-1] + 1, airborne[0] + round(SECONDS * rate)))
+    span = slice(airborne[0], min(airborne[-1] + 1, airborne[0] + round(SECONDS * rate)))
     every = max(1, int(rate / RATE))
-    samples = np.arange(0, part.stop - part.start, every)
+    samples = np.arange(0, span.stop - span.start, every)
     edge = max(round(EDGE * rate / every), 1)
-    inner = flying[part][samples]
+    inner = flying[span][samples]
     inner[:edge] = inner[len(inner) - edge :] = False
     if np.count_nonzero(inner) <= SHORTEST * rate / every:
         return None
-    values = {name: x[part] for name, x in quantities.items()}
+    values = {name: x[span] for name, x in quantities.items()}
     if every > 1:
         sections = butter(4, 0.4 / every, fs=1.0, output="sos")
         values = {name: sosfiltfilt(sections, x, axis=0) for name, x in values.items()}
@@ -214,14 +214,14 @@ class Evidence:
         # A residual gains likelihood merely because a correction makes it smaller.
         shrinking = np.maximum(-np.log(np.linalg.norm(matrices, axis=2)), 0.0).sum(axis=1)
         for identity in laws:
-            each = late if quantity in identity.linear else every
+            selected = late if quantity in identity.linear else every
             mean, square = np.empty((2, len(rows), 1 if identity.band == 0.0 else 3))
-            if each.any():
-                residual = self._residual(identity, quantity, corrected[each[evaluated]])
-                mean[each], square[each] = residual.mean(axis=1), (residual**2).mean(axis=1)
-            if not each.all():
-                moments = self._linear_moments(identity, quantity, matrices[~each])
-                mean[~each], square[~each] = moments
+            if selected.any():
+                residual = self._residual(identity, quantity, corrected[selected[evaluated]])
+                mean[selected], square[selected] = residual.mean(axis=1), (residual**2).mean(axis=1)
+            if not selected.all():
+                moments = self._linear_moments(identity, quantity, matrices[~selected])
+                mean[~selected], square[~selected] = moments
             count = self.signals.count(identity.band)
             variance = np.maximum(square - mean**2, 0.0) + identity.noise**2
             axes = -0.5 * count * np.log(variance) - 0.5 * (mean / identity.bias) ** 2

@@ -57,8 +57,8 @@ def read_head(path: Path | str, settings: bool = False) -> tuple[list[str], dict
     if not head or not any(head[-1]):
         last = max(len(head), 1)
         raise InputError(f"{path}: row {last} is empty, expected the names of the columns")
-    found = {cells[0]: ",".join(cells[1:]).strip() for cells in head[:-1] if any(cells)}
-    return head[-1], found, len(head)
+    values = {cells[0]: ",".join(cells[1:]).strip() for cells in head[:-1] if any(cells)}
+    return head[-1], values, len(head)
 
 
 def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> LogTable:
@@ -72,7 +72,7 @@ def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> 
     Raises:
         InputError: no such file or column, an empty row, or a cell that is no number.
     """
-    header, found, start = read_head(path, settings)
+    header, header_settings, start = read_head(path, settings)
     for name in names:
         if header.count(name) != 1:
             problem = "is missing" if name not in header else "is there twice"
@@ -118,7 +118,7 @@ def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> 
             raise InputError(f"{path}: row {row}{_fault(path, line, places, error)}") from None
     columns = table.reshape(-1, len(names)).T
     by_name = dict(zip(names, columns, strict=True))
-    return LogTable(str(path), by_name, found, start + 1, cut_row)
+    return LogTable(str(path), by_name, header_settings, start + 1, cut_row)
 
 
 def _cells(path: Path | str, line: str) -> list[str]:

@@ -107,9 +107,9 @@ def _save_table(flights: Sequence[Flight], path: Path | str) -> None:
         units = (signal.unit,) * count if isinstance(signal.unit, str) else signal.unit
         labels = signal.labels or tuple(str(i + 1) for i in range(count))
         labels = tuple(label.split(",")[0].replace(" ", "_") for label in labels)
-        own = [f"{name}_{label}" for label in labels] if count > 1 else [name]
+        names = [f"{name}_{label}" for label in labels] if count > 1 else [name]
         columns += [
-            f"{label} [{unit}]" if unit else label for label, unit in zip(own, units, strict=True)
+            f"{label} [{unit}]" if unit else label for label, unit in zip(names, units, strict=True)
         ]
     rows = [
         np.column_stack(

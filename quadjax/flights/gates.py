@@ -26,8 +26,8 @@ def clearance(gate: GateSection, place: np.ndarray) -> np.ndarray:
 def is_same_track(gates: Sequence[GateSection], others: Sequence[GateSection]) -> bool:
     """Whether gates are those of another track, within ``SAME``."""
     one, two = (
-        np.array([[*gate.position, *np.ravel(gate.axes), *gate.size] for gate in each])
-        for each in (gates, others)
+        np.array([[*gate.position, *np.ravel(gate.axes), *gate.size] for gate in track])
+        for track in (gates, others)
     )
     return one.shape == two.shape and np.allclose(one, two, atol=SAME)
 

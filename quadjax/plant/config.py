@@ -193,11 +193,11 @@ class MocapConfig(Section):
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
-        least = 1.0 / (1.0 - self.dropout)
-        if self.dropout_frames < least:
+        shortest = 1.0 / (1.0 - self.dropout)
+        if self.dropout_frames < shortest:
             raise ValueError(
                 f"sensors.mocap.dropout_frames is {self.dropout_frames}, allowed: at least "
-                f"{least:.3g}, 1 / (1 - dropout)"
+                f"{shortest:.3g}, 1 / (1 - dropout)"
             )
         return self
 
@@ -256,9 +256,9 @@ class PlantConfig(Section):
     @model_validator(mode="after")
     def _rates_agree(self) -> Self:
         rate, sensors = self.sample_rate, self.sensors
-        half, most = f"below half the sample_rate, {0.5 * rate:g} Hz", MAX_LATENCY / rate
+        half, longest = f"below half the sample_rate, {0.5 * rate:g} Hz", MAX_LATENCY / rate
         whole = f"sample_rate, {rate:g} Hz, divided by a whole number"
-        late = f"0 to {most:g} s ({MAX_LATENCY} samples)"
+        late = f"0 to {longest:g} s ({MAX_LATENCY} samples)"
         for key, is_possible, allowed in (
             ("control_rate", rate % self.control_rate == 0, whole),
             ("indi.cutoff", self.indi.cutoff < 0.5 * rate, half),
@@ -269,7 +269,7 @@ class PlantConfig(Section):
                 f"0 (none) or {half}",
             ),
             ("sensors.mocap.rate", sensors.mocap.rate <= rate, f"at most {rate:g} Hz"),
-            ("sensors.mocap.latency", sensors.mocap.latency <= most, late),
+            ("sensors.mocap.latency", sensors.mocap.latency <= longest, late),
         ):
             if not is_possible:
                 raise ValueError(f"{key} is {attrgetter(key)(self)}, allowed: {allowed}")

@@ -69,11 +69,11 @@ class Frame(struct.PyTreeNode):
 def begin(plan: Plan, key: jax.Array) -> Drones:
     """Drones in hover at the last gate, with drawn batteries, gusts and sensors."""
 
-    def one(drawn: jax.Array, charge: jax.Array) -> tuple[RaceState, PlantState, OnboardState]:
+    def one(draws: jax.Array, charge: jax.Array) -> tuple[RaceState, PlantState, OnboardState]:
         body = hover(motor.MODEL, plan.plant.vehicle.constants, plan.race.track)
         low, high = plan.charge
         left = low + (high - low) * charge
-        first, rest = drawn[: gusts.START_DRAWS], drawn[gusts.START_DRAWS :]
+        first, rest = draws[: gusts.START_DRAWS], draws[gusts.START_DRAWS :]
         state = plant.begin(plan.plant, body, left, first)
         computers = onboard.begin(plan.onboard, plan.plant, state, rest)
         zero, action = jnp.zeros((), jnp.int32), no_action(plan.choices, plan.race)
@@ -84,21 +84,21 @@ def begin(plan: Plan, key: jax.Array) -> Drones:
 
     of_noise, of_charge = jax.random.split(key)
     count = gusts.START_DRAWS + sensors.START_DRAWS
-    drawn = jax.random.normal(of_noise, (count, plan.runs))
+    draws = jax.random.normal(of_noise, (count, plan.runs))
     charge = jax.random.uniform(of_charge, (plan.runs,))
-    race, state, computers = jax.vmap(one, in_axes=-1, out_axes=-1)(drawn, charge)
+    race, state, computers = jax.vmap(one, in_axes=-1, out_axes=-1)(draws, charge)
     return Drones(laps.begin(race, plan.laps), state, computers)
 
 
 def sample(
-    plan: Plan, drones: Drones, command: Rotors | RateCommand, drawn: jax.Array
+    plan: Plan, drones: Drones, command: Rotors | RateCommand, draws: jax.Array
 ) -> tuple[Drones, Rotors]:
     """One sample of one drone: inner loop, plant, sensors, filters and rules.
 
-    ``drawn`` holds (onboard.DRAWS,) standard normal numbers. Returns the rpm commands too.
+    ``draws`` holds (onboard.DRAWS,) standard normal numbers. Returns the rpm commands too.
     """
     computers, rotors = onboard.command_rotors(plan.onboard, drones.onboard, command)
-    first, rest = drawn[: gusts.DRAWS], drawn[gusts.DRAWS :]
+    first, rest = draws[: gusts.DRAWS], draws[gusts.DRAWS :]
     call = materializing(plan.plant.step > 0.0)
     state = plant.update(plan.plant, drones.plant, rotors, first, call)
     computers = onboard.sense(plan.onboard, plan.plant, state, computers, rotors, rest)
@@ -138,8 +138,8 @@ def hold(
     advance = jax.vmap(sample, (None, -1, -1, -1), -1)
 
     def one(drones: Drones, key: jax.Array) -> tuple[Drones, Rotors]:
-        drawn = jax.random.normal(key, (onboard.DRAWS, plan.runs))
-        return advance(plan, drones, command, drawn)
+        draws = jax.random.normal(key, (onboard.DRAWS, plan.runs))
+        return advance(plan, drones, command, draws)
 
     following, rotors = jax.lax.scan(one, drones, jax.random.split(key, plan.hold))
     return following, jax.tree.map(lambda x: x[-1], rotors)

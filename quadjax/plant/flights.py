@@ -108,8 +108,8 @@ def race_config(config: Config, policy: Policy) -> Config:
     battery = config.battery
     if policy.config is not None:
         parts = {key: policy.config[key] for key in PARTS if key in policy.config}
-        own = stored_config(parts, "policy file")
-        vehicle, battery = vehicle.replace(constants=own.vehicle.constants), own.battery
+        trained = stored_config(parts, "policy file")
+        vehicle, battery = vehicle.replace(constants=trained.vehicle.constants), trained.battery
     return config.replace(
         vehicle=vehicle.replace(mismatch={}),
         battery=battery,
@@ -248,5 +248,5 @@ def log_quantities(flights: Flights, run: int, gates: np.ndarray) -> dict[str, n
         vectors["rate_command"] = frames.command.rates
         vectors["thrust_command"] = frames.command.thrust
     time = {"time": flights.step * np.arange(len(target)), "mode": np.ones(len(target))}
-    own = {name: rows(flights, vector, run) for name, vector in vectors.items()}
-    return time | own | {"target_gate": target}
+    columns = {name: rows(flights, vector, run) for name, vector in vectors.items()}
+    return time | columns | {"target_gate": target}

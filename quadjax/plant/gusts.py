@@ -46,9 +46,9 @@ def scales(gusts: GustsConfig) -> tuple[Vec3, Vec3]:
     return deviations, lengths
 
 
-def init(drawn: jax.Array) -> GustState:
+def init(draws: jax.Array) -> GustState:
     """Stationary turbulence, from (START_DRAWS,) standard normal numbers."""
-    a, rest = Vec3.of(drawn[0:3]), Vec3.of(drawn[3:6])
+    a, rest = Vec3.of(draws[0:3]), Vec3.of(draws[3:6])
     half = float(np.sqrt(0.5))
     first = Vec3(a.x, half * a.y, half * a.z)
     second = first * 0.5 + rest * float(np.sqrt(0.125))
@@ -56,11 +56,11 @@ def init(drawn: jax.Array) -> GustState:
 
 
 def update(
-    gusts: GustsConfig, state: GustState, velocity: Vec3, step: jax.Array, drawn: jax.Array
+    gusts: GustsConfig, state: GustState, velocity: Vec3, step: jax.Array, draws: jax.Array
 ) -> GustState:
     """The turbulence a step of () s later, of a drone at ``velocity``, m/s.
 
-    ``drawn`` holds (DRAWS,) standard normal numbers.
+    ``draws`` holds (DRAWS,) standard normal numbers.
 
     The discretization is exact for white noise: ``a <- phi a + ..`` with ``phi = exp(-V dt / L)``
     keeps the variance at any step.
@@ -71,7 +71,7 @@ def update(
     for axis in range(3):
         kept = jnp.exp(-speed * step / lengths[axis])
         variance = 1.0 if axis == 0 else 0.5
-        new = kept * state.first[axis] + jnp.sqrt(variance * (1.0 - kept * kept)) * drawn[axis]
+        new = kept * state.first[axis] + jnp.sqrt(variance * (1.0 - kept * kept)) * draws[axis]
         middle = 0.5 * (state.first[axis] + new)
         first.append(new)
         second.append(kept * state.second[axis] + (1.0 - kept) * middle)

@@ -92,20 +92,20 @@ def onboard_params(
 
 
 def begin(
-    params: OnboardParams, body: PlantParams, state: PlantState, drawn: jax.Array
+    params: OnboardParams, body: PlantParams, state: PlantState, draws: jax.Array
 ) -> OnboardState:
-    """The initial state of a drone; ``drawn`` holds (sensors.START_DRAWS,) normal numbers."""
+    """The initial state of a drone; ``draws`` holds (sensors.START_DRAWS,) normal numbers."""
     truth = plant.truth_of(body, state)
-    own = filtered = measured = None
+    sensed = filtered = measured = None
     if params.navigation == "ekf":
-        own, measured = sensors.init(params.sensors, truth, drawn)
+        sensed, measured = sensors.init(params.sensors, truth, draws)
         filtered = ekf.init(params.ekf, measured)
     now = _estimate(params, truth, measured, filtered)
     estimated = disturbance.init(params.estimator, now.measurement)
     inner = indi.init(params.inner, now.measurement)
     limit = battery.begin(params.limit, now.measurement.rpm, params.first_limit)
     line = (truth,) * body.measurement_delay
-    return OnboardState(line, own, filtered, estimated, inner, limit, now)
+    return OnboardState(line, sensed, filtered, estimated, inner, limit, now)
 
 
 def sense(
@@ -114,7 +114,7 @@ def sense(
     state: PlantState,
     onboard: OnboardState,
     command: Rotors,
-    drawn: jax.Array,
+    draws: jax.Array,
 ) -> OnboardState:
     """One sample of sensors, filter and estimators; the inner loop is ``command_rotors``.
 
@@ -124,12 +124,12 @@ def sense(
         state: of the plant, now.
         onboard: from ``begin`` or the last sample.
         command: of the sample before, rpm.
-        drawn: (sensors.DRAWS,) standard normal numbers.
+        draws: (sensors.DRAWS,) standard normal numbers.
     """
     truth, *waiting = (*onboard.delayed, plant.truth_of(body, state))
-    own, filtered, measured = onboard.sensors, onboard.ekf, None
-    if own is not None and filtered is not None:
-        own, measured = sensors.update(params.sensors, own, truth, drawn)
+    sensed, filtered, measured = onboard.sensors, onboard.ekf, None
+    if sensed is not None and filtered is not None:
+        sensed, measured = sensors.update(params.sensors, sensed, truth, draws)
         filtered = ekf.update(params.ekf, filtered, measured)
     now = _estimate(params, truth, measured, filtered)
     estimated, moment, force = disturbance.update(
@@ -141,7 +141,7 @@ def sense(
         moment, force = Vec3.zero(), Vec3.zero()
     now = now.replace(motion=now.motion.replace(moment_ext=moment, force_ext=force))
     limit = battery.update(params.limit, onboard.limit, now.measurement.rpm, command)
-    return OnboardState(tuple(waiting), own, filtered, estimated, onboard.inner, limit, now)
+    return OnboardState(tuple(waiting), sensed, filtered, estimated, onboard.inner, limit, now)
 
 
 def _estimate(

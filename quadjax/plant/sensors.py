@@ -133,30 +133,30 @@ def low_pass_delay(cutoff: float, sample_rate: float) -> float:
 
 
 def init(
-    params: SensorParams, truth: GroundTruth, drawn: jax.Array
+    params: SensorParams, truth: GroundTruth, draws: jax.Array
 ) -> tuple[SensorState, Measured]:
     """The sensors at the start, with filters in steady state.
 
     Args:
         params: of the sensors.
         truth: at the first sample.
-        drawn: (START_DRAWS,) independent standard normal numbers.
+        draws: (START_DRAWS,) independent standard normal numbers.
 
     Returns:
         The state, and the first sample with a pose that has no delay.
     """
-    gyro, rates = _start(params.gyro, truth.rates, drawn[0:3], drawn[3:6])
+    gyro, rates = _start(params.gyro, truth.rates, draws[0:3], draws[3:6])
     force, accelerations = _start(
-        params.accelerometer, truth.specific_force, drawn[6:9], drawn[9:12]
+        params.accelerometer, truth.specific_force, draws[6:9], draws[9:12]
     )
-    fix = _observe_pose(params.mocap, truth, drawn[16:22], jnp.ones(()))
+    fix = _observe_pose(params.mocap, truth, draws[16:22], jnp.ones(()))
     none = fix.replace(fresh=jnp.zeros(()))
     state = SensorState(gyro, force, jnp.zeros(()), jnp.zeros((), bool), (none,) * params.delay)
-    return state, Measured(rates, accelerations, _rpm(params.rpm, truth.rpm, drawn[12:16]), fix)
+    return state, Measured(rates, accelerations, _rpm(params.rpm, truth.rpm, draws[12:16]), fix)
 
 
 def update(
-    params: SensorParams, state: SensorState, truth: GroundTruth, drawn: jax.Array
+    params: SensorParams, state: SensorState, truth: GroundTruth, draws: jax.Array
 ) -> tuple[SensorState, Measured]:
     """The next sample of every sensor of one drone.
 
@@ -164,19 +164,19 @@ def update(
         params: of the sensors.
         state: from ``init`` or the last ``update``.
         truth: at this sample.
-        drawn: (DRAWS,) independent standard normal numbers.
+        draws: (DRAWS,) independent standard normal numbers.
     """
-    gyro, rates = _sample(params.gyro, state.gyro, truth.rates, drawn[0:3], drawn[3:6])
+    gyro, rates = _sample(params.gyro, state.gyro, truth.rates, draws[0:3], draws[3:6])
     force, accelerations = _sample(
-        params.accelerometer, state.accelerometer, truth.specific_force, drawn[6:9], drawn[9:12]
+        params.accelerometer, state.accelerometer, truth.specific_force, draws[6:9], draws[9:12]
     )
     clock = state.clock + params.mocap.rate * params.gyro.step
     due = clock >= 1.0 - _MARGIN
-    lost = jnp.where(due, drawn[22] < _loss_quantile(params.mocap, state.lost), state.lost)
-    fix = _observe_pose(params.mocap, truth, drawn[16:22], (due & ~lost).astype(clock.dtype))
+    lost = jnp.where(due, draws[22] < _loss_quantile(params.mocap, state.lost), state.lost)
+    fix = _observe_pose(params.mocap, truth, draws[16:22], (due & ~lost).astype(clock.dtype))
     pending = (*state.pending, fix)
     clock = jnp.where(due, clock - 1.0, clock)
-    measured = Measured(rates, accelerations, _rpm(params.rpm, truth.rpm, drawn[12:16]), pending[0])
+    measured = Measured(rates, accelerations, _rpm(params.rpm, truth.rpm, draws[12:16]), pending[0])
     return SensorState(gyro, force, clock, lost, pending[1:]), measured
 
 

@@ -197,10 +197,10 @@ class Policy:
 
     def sample(self, observation: jax.Array, key: jax.Array) -> jax.Array:
         """Actions (.., actions) in [-1, 1], drawn with a PRNG key."""
-        own = inference.policy_params(self)
+        params = inference.policy_params(self)
         shape = (*jax.numpy.shape(observation)[:-1], len(self.log_std))
         noise = jax.random.normal(key, shape)
-        return jax.numpy.clip(inference.act_sampled(own, observation, noise), -1, 1)
+        return jax.numpy.clip(inference.act_sampled(params, observation, noise), -1, 1)
 
 
 def _read(path: Path) -> Policy:
@@ -226,12 +226,12 @@ def _read(path: Path) -> Policy:
             f"{path}: kernel_0 takes {layers[0][0].shape[0]} inputs, but the policy observes "
             f"{layout.size} numbers"
         )
-    source, own = meta.get("source") or {}, meta.get("config")
-    own, residual = own if isinstance(own, dict) else None, None
+    source, config = meta.get("source") or {}, meta.get("config")
+    config, residual = config if isinstance(config, dict) else None, None
     if "residual" in meta:
         residual = from_arrays(path, arrays, meta["residual"])
-        if own and isinstance(own.get("vehicle"), dict):  # the residual is read from this file
-            own["vehicle"]["residual"] = str(path)
+        if config and isinstance(config.get("vehicle"), dict):  # read from this file
+            config["vehicle"]["residual"] = str(path)
     return Policy(
         layers=layers,
         log_std=_log_std(path, arrays, actions),
@@ -243,7 +243,7 @@ def _read(path: Path) -> Policy:
         source=source if isinstance(source, dict) else {"source": source},
         noise_on=stated.noise_on,
         value=_value(path, arrays, layout.size),
-        config=own,
+        config=config,
         residual=residual,
     )
 
@@ -293,10 +293,10 @@ def _value(path: Path | str, arrays: dict[str, np.ndarray], inputs: int) -> Laye
     if not any(name.startswith((f"{VALUE}kernel_", f"{VALUE}bias_")) for name in arrays):
         return None
     layers = read_layers(path, arrays, VALUE)
-    found = (layers[0][0].shape[0], layers[-1][0].shape[1])
-    if found != (inputs, 1):
+    sizes = (layers[0][0].shape[0], layers[-1][0].shape[1])
+    if sizes != (inputs, 1):
         raise InputError(
-            f"{path}: the value's layers take {found[0]} numbers and give {found[1]}, expected "
+            f"{path}: the value's layers take {sizes[0]} numbers and give {sizes[1]}, expected "
             f"{inputs} and 1"
         )
     return tuple(layers)

@@ -124,15 +124,15 @@ def make_pilot(choices: Choices, params: RaceParams, policy: Policy, determinist
     return Pilot(policy_params(policy), *(jnp.asarray(x, jnp.float32) for x in numbers))
 
 
-def _observation_scale(shown: Layout, own: Layout) -> Ranges:
+def _observation_scale(environment: Layout, training: Layout) -> Ranges:
     """Scale and offset from what an environment shows to what a policy was trained with."""
-    scale, offset = np.ones(own.size), np.zeros(own.size)
-    for field in own.fields:
-        span, trained = shown[field.name].span, field.span
+    scale, offset = np.ones(training.size), np.zeros(training.size)
+    for field in training.fields:
+        span, trained = environment[field.name].span, field.span
         if span is None or trained is None or field.name in DISTURBANCES:
             continue
         here, there = _rounded(*np.transpose(span)), _rounded(*np.transpose(trained))
-        columns = own.slice(field.name)
+        columns = training.slice(field.name)
         scale[columns], offset[columns] = _between(here, there)
     return scale, offset
 

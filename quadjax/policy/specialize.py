@@ -33,7 +33,7 @@ def specialize(policy: Policy, config: Config, name: str = "policy") -> Policy:
     wide = np.where(high > low, high - low, np.inf)
     seen = (2.0 * np.array(list(values.values())) - low - high) / wide
     columns = policy.layout.slice(CONSTANTS)
-    own = config.replace(
+    race = config.replace(
         observation=config.observation.replace(constants=False), randomization=Randomization()
     )
     return dataclasses.replace(
@@ -42,7 +42,7 @@ def specialize(policy: Policy, config: Config, name: str = "policy") -> Policy:
         value=policy.value and _folded(policy.value, columns, seen),
         layout=Layout(tuple(each for each in policy.layout.fields if each.name != CONSTANTS)),
         source=policy.source | {"vehicle": config.vehicle.name},
-        config=own.model_dump(mode="json", by_alias=True),
+        config=race.model_dump(mode="json", by_alias=True),
     )
 
 
@@ -57,7 +57,7 @@ def outside(policy: Policy, config: Config, name: str = "policy") -> list[str]:
         return []
     slack = ROUNDING * np.maximum(np.abs(low), np.abs(high))
     ends = zip(values.items(), low - slack, high + slack, strict=True)
-    return [key for (key, value), least, most in ends if not least <= value <= most]
+    return [key for (key, value), lowest, highest in ends if not lowest <= value <= highest]
 
 
 def _constants(

@@ -116,9 +116,9 @@ def _constants(step: Step) -> Numbers:
 
     A drone that differs from its model (``vehicle.mismatch``) shows those of the model.
     """
-    drawn, nominal = step.state.constants, step.params.vehicle.constants
-    unknown = drawn is None or step.params.mismatch is not None
-    return jax.tree.leaves(nominal if unknown else drawn)
+    constants, nominal = step.state.constants, step.params.vehicle.constants
+    unknown = constants is None or step.params.mismatch is not None
+    return jax.tree.leaves(nominal if unknown else constants)
 
 
 def _disturbance(source: Source, step: Step) -> tuple[Vec3, Vec3]:

@@ -60,20 +60,20 @@ def parse_nan(texts: list[str]) -> dict[str, float]:
     Raises:
         InputError: no such field, a field that occurs twice, or no probability.
     """
-    found: dict[str, float] = {}
+    probabilities: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")
         if name not in FIELDS:
             raise InputError(f"--nan {text}: allowed fields: {', '.join(FIELDS)}")
-        if name in found:
+        if name in probabilities:
             raise InputError(f"--nan {text}: {name} has two probabilities, expected one")
         try:
-            found[name] = float(value)
+            probabilities[name] = float(value)
         except ValueError:
-            found[name] = math.nan
-        if not 0.0 <= found[name] <= 1.0:
+            probabilities[name] = math.nan
+        if not 0.0 <= probabilities[name] <= 1.0:
             raise InputError(f"--nan {text}: expected FIELD=P with a probability from 0 to 1")
-    return found
+    return probabilities
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,13 +107,13 @@ class Channel:
 
     def push(self, message: np.ndarray, now: float) -> None:
         """Send a message at a simulated time, s."""
-        faults, drawn = self._faults, self._random.uniform(size=3)
+        faults, draws = self._faults, self._random.uniform(size=3)
         if message.dtype == DTYPES[Kind.STATE]:
             message = self._altered(message)
-        data, intact = pack(message), drawn[2] >= faults.damage
+        data, intact = pack(message), draws[2] >= faults.damage
         if not intact:
             data = _flipped(data, int(self._random.integers(8 * len(data))))
-        dropped, late = drawn[0] < faults.drop, drawn[1] < faults.late
+        dropped, late = draws[0] < faults.drop, draws[1] < faults.late
         self.counts["sent"] += 1
         self.counts["dropped"] += int(dropped)
         self.counts["late"] += int(late and not dropped)
@@ -146,6 +146,6 @@ class Channel:
 
 def _flipped(data: bytes, bit: int) -> bytes:
     """Bytes with one bit flipped."""
-    found = bytearray(data)
-    found[bit // 8] ^= 1 << bit % 8
-    return bytes(found)
+    flipped = bytearray(data)
+    flipped[bit // 8] ^= 1 << bit % 8
+    return bytes(flipped)

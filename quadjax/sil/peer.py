@@ -38,17 +38,17 @@ class Peer:
         rejected_before: number of states that the autopilot rejected in the races before.
     """
 
-    def __init__(self, own: socket.socket, name: str, stop: threading.Event) -> None:
+    def __init__(self, connection: socket.socket, name: str, stop: threading.Event) -> None:
         """Use a socket that is connected to the autopilot.
 
         Args:
-            own: the socket.
+            connection: the socket.
             name: of the autopilot, for messages.
             stop: ends all waiting.
         """
         self.rejected: Counter[str] = Counter()
         self.rejected_before = 0
-        self._socket, self._name, self._stop = own, name, stop
+        self._socket, self._name, self._stop = connection, name, stop
 
     @property
     def stopped(self) -> bool:
@@ -103,8 +103,8 @@ class Peer:
             self._socket.send(pack(new(Kind.END)))
 
 
-def _readable(own: socket.socket, seconds: float) -> bool:
-    return bool(select.select([own], [], [], seconds)[0])
+def _readable(connection: socket.socket, seconds: float) -> bool:
+    return bool(select.select([connection], [], [], seconds)[0])
 
 
 @contextlib.contextmanager
@@ -114,24 +114,24 @@ def listening(host: str, port: int) -> Iterator[socket.socket]:
     Raises:
         InputError: a port that is taken, or no such address.
     """
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connection:
         try:
-            own.bind((host, port))
+            connection.bind((host, port))
         except OSError as error:
             raise InputError(
                 f"--listen {host}:{port}: cannot listen there ({error.strerror or error})"
             ) from None
-        yield own
+        yield connection
 
 
 @contextlib.contextmanager
 def greeted(
-    own: socket.socket, kind: CommandKind, seconds: float, stop: threading.Event
+    connection: socket.socket, kind: CommandKind, seconds: float, stop: threading.Event
 ) -> Iterator[Peer]:
     """The autopilot that says hello at a socket.
 
     Args:
-        own: a socket that listens.
+        connection: a socket that listens.
         kind: of the commands that the drone takes.
         seconds: to wait.
         stop: ends the waiting.
@@ -141,20 +141,20 @@ def greeted(
             that failed.
     """
     until = time.monotonic() + seconds
-    while not _readable(own, SLICE):
+    while not _readable(connection, SLICE):
         if stop.is_set():
             raise KeyboardInterrupt
         if time.monotonic() > until:
-            host, port = own.getsockname()
+            host, port = connection.getsockname()
             raise InputError(f"no autopilot has connected to {host}:{port} within {seconds:g} s")
-    data, (host, port) = own.recvfrom(BYTES)
+    data, (host, port) = connection.recvfrom(BYTES)
     name = f"{host}:{port}"
     try:
         _check_hello(unpack(data), kind)
     except MessageError as error:
         raise InputError(f"autopilot {name}: first message rejected: {error}") from None
-    own.connect((host, port))
-    peer = Peer(own, name, stop)
+    connection.connect((host, port))
+    peer = Peer(connection, name, stop)
     try:
         yield peer
     finally:

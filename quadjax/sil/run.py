@@ -207,7 +207,7 @@ def _fly_all(
     flying: tuple[Converted, Sources] | None = None
     if setting.source.is_dir() or setting.listen is None:
         converted = _converted(setting)
-        config, policy = converted.own.config, converted.policy
+        config, policy = converted.race.config, converted.policy
         if setting.listen is None:
             files = {name: data for name, data in converted.files().items() if "/" in name}
             flying = converted, Sources.write(converted.target, files, work, converted.fixed)
@@ -262,12 +262,12 @@ def _autopilot(
         world.advance(world.begin(0), world.ranges()[0].astype(np.float32))
 
     with contextlib.ExitStack() as stack:
-        own = stack.enter_context(listening(*(setting.listen or (ADDRESS, 0))))
-        host, port = own.getsockname()
+        server = stack.enter_context(listening(*(setting.listen or (ADDRESS, 0))))
+        host, port = server.getsockname()
         if flying is None:
             compile_drone()
             report(f"waiting for an autopilot at {host}:{port}")
-            peer = stack.enter_context(greeted(own, kind, CONNECT_SECONDS, stop))
+            peer = stack.enter_context(greeted(server, kind, CONNECT_SECONDS, stop))
             yield peer, "your autopilot", ""
             return
         report("building the C")
@@ -275,5 +275,5 @@ def _autopilot(
         label = label_of(program, flying[0])
         compile_drone()
         stack.enter_context(running(program, port))
-        peer = stack.enter_context(greeted(own, kind, START_SECONDS, stop))
+        peer = stack.enter_context(greeted(server, kind, START_SECONDS, stop))
         yield peer, label, names

@@ -64,7 +64,7 @@ def build(
         sources = Sources(target, folder, call_ns)
     (folder / "stand_in" / "message.h").write_text(header_text(functions=True))
     names = ("sil.c",) if shared else ("sil.c", "process.c")
-    kind = int(command_kind(converted.own.choices.model))
+    kind = int(command_kind(converted.race.choices.model))
     options = [f"-DFIRMWARE_CALL_NS={call_ns}U", f"-DCOMMAND_KIND={kind}"]
     output = folder / ("autopilot.so" if shared else "autopilot")
     try:

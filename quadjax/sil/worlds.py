@@ -175,17 +175,17 @@ def _begin_on_plant(plan: Plan, key: jax.Array) -> tuple[Drones, Seen]:
 def _advance_plant(
     plan: Plan, drones: Drones, command: jax.Array, key: jax.Array
 ) -> tuple[Drones, jax.Array, Seen]:
-    key, own = jax.random.split(key)
+    key, key_of_step = jax.random.split(key)
     low, _ = plan.choices.model.command_range(plan.race.vehicle.constants)
     held = jax.tree.unflatten(jax.tree.structure(low), [x[None] for x in command])
-    drones, _ = flight.hold(plan, drones, held, own)
+    drones, _ = flight.hold(plan, drones, held, key_of_step)
     return drones, key, _see_plant(plan, drones)
 
 
 def _see_plant(plan: Plan, drones: Drones) -> Seen:
     one = jax.tree.map(lambda x: x[..., 0], drones)
-    own, body = one.onboard, one.plant.physics.body
-    now, measured = own.estimate.motion, own.estimate.measurement
+    onboard, body = one.onboard, one.plant.physics.body
+    now, measured = onboard.estimate.motion, onboard.estimate.measurement
     rate_level = plan.choices.model.name == "rate"
     force = plant.truth_of(plan.plant, one.plant).specific_force
     actuators = -force.z if rate_level else body.actuators
@@ -193,7 +193,7 @@ def _see_plant(plan: Plan, drones: Drones) -> Seen:
         *(plan.race.track, one.race.state.target, one.race.over),
         *((now.position, now.velocity, now.euler, now.rates), measured),
         _scaled(measured.rpm, 1.0 / RPM_PER_RAD_S),
-        own.inner.thrust if rate_level else jnp.zeros(()),
+        onboard.inner.thrust if rate_level else jnp.zeros(()),
         (now.moment_ext, now.force_ext),
         (body.position, body.velocity, body.euler, body.rates, actuators),
     )

@@ -78,11 +78,8 @@ def check_started(folder: Path) -> None:
     if any((folder / file).exists() for file in FILES):
         return
     names = sorted(path.parent.name for path in folder.parent.glob("*/config.yaml"))
-    hint = close_match(folder.name, names)
-    raise InputError(
-        f"{folder}: no run to resume{hint}; runs in {folder.parent}: {', '.join(names) or 'none'}; "
-        "without resume=True a new one starts"
-    )
+    runs = f"{', '.join(names) or 'none'}{close_match(folder.name, names)}"
+    raise InputError(f"{folder}: no run to resume (without resume=True one starts); runs: {runs}")
 
 
 def _inputs(config: Config) -> dict[str, bytes]:

@@ -97,9 +97,8 @@ def train(
             if display is not None and count is not None:
                 display.note(f"{config.name}: {count} environments (learner.num_envs)")
             if display is not None:
-                vehicle = config.vehicle
-                for text in implausible(base_model(vehicle.model), vehicle.constants):
-                    display.note(f"warning: {vehicle.name}: {text}")
+                for text in implausible(base_model(config.vehicle.model), config.vehicle.constants):
+                    display.note(f"warning: {config.vehicle.name}: {text}")
             with interruptions() as stop, display or contextlib.nullcontext():
                 _run(job, folder, resume, started, display, stop, enough)
         return Run.load(folder, config)

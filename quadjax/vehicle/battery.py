@@ -72,8 +72,8 @@ def highest_rpm(p: BatteryParams, rpm: Rotors, charge: jax.Array) -> jax.Array:
 
 def load(p: BatteryParams, rpm: Rotors) -> jax.Array:
     """Power () of the rotors over that of hover."""
-    part = rpm / p.hover
-    cube = part * part * part
+    fraction = rpm / p.hover
+    cube = fraction * fraction * fraction
     return 0.25 * (cube.w1 + cube.w2 + cube.w3 + cube.w4)
 
 
@@ -168,9 +168,9 @@ class BatteryState(struct.PyTreeNode):
 
 def draw_battery(params: Battery, rpm: Rotors, key: jax.Array) -> BatteryState:
     """A charge of the range, and a first estimate near the limit at full power."""
-    part, error = jax.random.uniform(key, (2,))
+    fraction, error = jax.random.uniform(key, (2,))
     low, high = params.charge
-    charge = low + (high - low) * part
+    charge = low + (high - low) * fraction
     wrong = FIRST_ERROR * params.estimator.highest * (2.0 * error - 1.0)
     first = params.full_power_limit(charge) + wrong
     return BatteryState(charge, begin(params.estimator, rpm, first))

@@ -66,8 +66,8 @@ def motor_map(c: RacingConstants, command: Rotors) -> Rotors:
     k = jnp.clip(c.k, 0.0, 1.0)
 
     def speed(u: jax.Array) -> jax.Array:
-        part = bounded_sqrt(k * u * u + (1.0 - k) * u, SLOPE_FLOOR)
-        return c.w_min + (c.w_max - c.w_min) * part
+        share = bounded_sqrt(k * u * u + (1.0 - k) * u, SLOPE_FLOOR)
+        return c.w_min + (c.w_max - c.w_min) * share
 
     return Rotors(*map(speed, command.components()))
 
@@ -77,9 +77,9 @@ def command_of(c: RacingConstants, speed: Rotors) -> Rotors:
     k = jnp.clip(c.k, 0.0, 1.0)
 
     def command(w: jax.Array) -> jax.Array:
-        part = jnp.clip((w - c.w_min) / (c.w_max - c.w_min), 0.0, 1.0)
-        below = (1.0 - k) + jnp.sqrt((1.0 - k) ** 2 + 4.0 * k * part * part)
-        return jnp.where(below > 0, 2.0 * part * part / jnp.where(below > 0, below, 1.0), 0.0)
+        share = jnp.clip((w - c.w_min) / (c.w_max - c.w_min), 0.0, 1.0)
+        below = (1.0 - k) + jnp.sqrt((1.0 - k) ** 2 + 4.0 * k * share * share)
+        return jnp.where(below > 0, 2.0 * share * share / jnp.where(below > 0, below, 1.0), 0.0)
 
     return Rotors(*map(command, speed.components()))
 

@@ -32,21 +32,21 @@ def page_record(title: str, flights: Sequence[Flight]) -> dict[str, Any]:
     Raises:
         InputError: no flight with samples, one that cannot be drawn, or flights on other tracks.
     """
-    drawn = [flight for flight in flights if len(flight.time)]
-    if not drawn:
+    recorded = [flight for flight in flights if len(flight.time)]
+    if not recorded:
         raise InputError("no flight to show" + ", only lap times" * bool(flights))
-    tracks = [flight for flight in drawn if flight.gates]
+    tracks = [flight for flight in recorded if flight.gates]
     for other in tracks[1:]:
         if not is_same_track(tracks[0].gates, other.gates):
             raise InputError(f"{other.name}: is on another track than {tracks[0].name}")
-    laps = max(len(flight.lap_ends) for flight in drawn)
+    laps = max(len(flight.lap_ends) for flight in recorded)
     marks = {f.name: f.lap_ends for f in flights if not len(f.time)}
     return {
         "format": RECORD,
         "title": title,
         "gates": [_gate_record(gate) for gate in (tracks[0].gates if tracks else ())],
         "drone": {"arm": ARM, "rotor": ROTOR},
-        "flights": [_flight_record(flight.repeat(laps)) for flight in drawn],
+        "flights": [_flight_record(flight.repeat(laps)) for flight in recorded],
         "markers": [{"name": name, "lap_ends": _numbers(ends)} for name, ends in marks.items()],
     }
 
@@ -124,8 +124,8 @@ def encoded(values: np.ndarray, largest: float | None = None) -> dict[str, Any]:
     finite = np.where(np.isfinite(values), values, np.nan)
     if largest is None:
         empty = ~np.isfinite(finite).any(axis=0)
-        shown = np.where(empty, 0.0, finite)
-        low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
+        filled = np.where(empty, 0.0, finite)
+        low, high = np.nanmin(filled, axis=0), np.nanmax(filled, axis=0)
     else:
         low, high = (np.full(values.shape[1], sign * largest) for sign in (-1.0, 1.0))
     offset, scale = 0.5 * (low + high), np.maximum((high - low) / 65534.0, 1e-12)

@@ -74,7 +74,7 @@ def command_of(library, time_s, numbers):
 def flown_in_this_process(converted, plant, folder, steps):
     """The motion and the commands (steps, ..) of the C called through ctypes, step by step."""
     plant = plant and at_rate(plant, sources_of(converted, folder))
-    world = make_world(converted.own.config, converted.policy, plant, 1)
+    world = make_world(converted.race.config, converted.policy, plant, 1)
     library, _ = loaded(folder, converted, 1.0 / world.step)
     factor = RPM_PER_RAD_S if world.model.name == "motor" else 1.0
     now, rows = world.begin(0), []

@@ -265,15 +265,15 @@ def sizes_of(elf: Path) -> tuple[int, int]:
     from elftools.elf.elffile import ELFFile
 
     with open(elf, "rb") as stream:
-        found = [s for s in ELFFile(stream).iter_sections() if s["sh_flags"] & 2]
-        writable = sum(s["sh_size"] for s in found if s["sh_flags"] & 1)
-        return sum(s["sh_size"] for s in found) - writable, writable
+        sections = [s for s in ELFFile(stream).iter_sections() if s["sh_flags"] & 2]
+        writable = sum(s["sh_size"] for s in sections if s["sh_flags"] & 1)
+        return sum(s["sh_size"] for s in sections) - writable, writable
 
 
 def vehicles(policy: FixedPolicy, states: np.ndarray) -> np.ndarray:
     """States (n, state_size) as ``qj_vehicle``; zeros for what the policy lacks."""
-    found = np.zeros(len(states), VEHICLE)
+    rows = np.zeros(len(states), VEHICLE)
     for name, start in policy.race.starts.items():
         if name in (VEHICLE.names or ()):
-            found[name] = states[:, start : start + len(policy.race.fields[name])]
-    return found
+            rows[name] = states[:, start : start + len(policy.race.fields[name])]
+    return rows

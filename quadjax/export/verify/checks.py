@@ -114,7 +114,7 @@ class Context:
     @functools.cached_property
     def rollouts(self) -> Rollouts:
         """Flights of the float policy in its own race."""
-        return flights.simulate(self.exported.own)
+        return flights.simulate(self.exported.race)
 
     def expected_inputs(self, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """Rows (n, inputs + 3) int32 by NumPy."""
@@ -129,10 +129,10 @@ def check_proof(c: Context) -> str:
     if c.converted is None:
         return f"{widths}, {race.gates} gates: ranges proven, self-tests repeated"
     proof, policy = c.converted.proof, c.converted.policy
-    part = float(np.max(proof.error_bound / (policy.command_high - policy.command_low)))
+    share = float(np.max(proof.error_bound / (policy.command_high - policy.command_low)))
     return (
         f"{widths}: largest sum 2^{max(proof.accumulator_bits):.3f} < 2^63 for every input; error "
-        f"at most {float(np.max(proof.error_bound)):.3g} {network.unit}, {part:.2g} of a "
+        f"at most {float(np.max(proof.error_bound)):.3g} {network.unit}, {share:.2g} of a "
         "command's range"
     )
 
@@ -151,17 +151,17 @@ def check_host(c: Context) -> str:
     if c.converted is None:
         return text
     x, policy = uniform_samples(network, ACCURACY_SAMPLES, 3), c.converted.policy
-    found = c.library.forward(quantize(x, network.box.exponents))[:, :4]
+    commands = c.library.forward(quantize(x, network.box.exponents))[:, :4]
     span = policy.command_high - policy.command_low
-    apart = found / 2.0**network.fraction_bits - float64_commands(policy, x)
+    apart = commands / 2.0**network.fraction_bits - float64_commands(policy, x)
     error = float(np.max(np.abs(apart) / span))
     require(error <= LARGEST_ERROR, f"{error:.2g} of a command's range: above {LARGEST_ERROR:g}")
     return f"{text}; within {error:.2g} of a command's range of float64"
 
 
-def _same(what: str, found: np.ndarray, expected: np.ndarray) -> None:
-    wrong = np.flatnonzero(np.any(found != expected, axis=1))
-    require(not wrong.size, f"{wrong.size} of {len(found)} {what} differ, first {wrong[:1]}")
+def _same(what: str, values: np.ndarray, expected: np.ndarray) -> None:
+    wrong = np.flatnonzero(np.any(values != expected, axis=1))
+    require(not wrong.size, f"{wrong.size} of {len(values)} {what} differ, first {wrong[:1]}")
 
 
 def check_processor(c: Context) -> str:
@@ -180,8 +180,8 @@ def _on_board(c: Context, board: OnBoard) -> str:
     network, q, (states, targets) = c.fixed.network, next(c.inputs()), c.states
     q, states, targets = q[:: max(1, len(q) // 500)], states[-500:], targets[-500:]
     _same("inputs", board.rows("forward", 5, len(q), q), emulator.forward_rows(network, q))
-    found = board.rows("observe", q.shape[1] + 3, len(states), states, targets.astype(np.uint32))
-    _same("states", found, c.expected_inputs(states, targets))
+    rows = board.rows("observe", q.shape[1] + 3, len(states), states, targets.astype(np.uint32))
+    _same("states", rows, c.expected_inputs(states, targets))
     simulated = c.fixed.cases.states.view(np.float32)[-SIMULATED_STATES:]
     chosen = np.concatenate([simulated, c.states[0][:COUNTED]])
     steps = [board.count("step", row) for row in vehicles(c.fixed, chosen)[:, None]]
@@ -191,7 +191,7 @@ def _on_board(c: Context, board: OnBoard) -> str:
     counts = [count for count, _ in single]
     allowed = max(max(counts) // 1000, CLAMPED * network.outputs)
     require(max(counts) - min(counts) <= allowed, f"instructions depend on the data: {counts}")
-    stack = max(own for _, own in (*steps, *single))
+    stack = max(stack for _, stack in (*steps, *single))
     widest = max(len(layer.bias) for layer in network.layers)
     require(stack < LARGEST_STACK or widest > WIDE, f"{stack} bytes of stack")
     loading, more = board.loading()
@@ -211,12 +211,12 @@ def check_glue(c: Context) -> str:
 
 def check_simulator(c: Context) -> str:
     """The C's observation of simulated states and its gates against the simulator's."""
-    own, network, simulated = c.exported.own, c.fixed.network, c.rollouts.thinned()
+    race, network, simulated = c.exported.race, c.fixed.network, c.rollouts.thinned()
     rows = c.library.observe(simulated.states, simulated.targets)
     require(not np.any(rows[:, network.inputs :]), "a simulated state was clipped")
-    exact = observe_float64(own, simulated.states, simulated.targets)
-    found = rows[:, : network.inputs] / 2.0**30 * network.box.ranges
-    error = np.abs(found - exact) / network.box.ranges
+    exact = observe_float64(race, simulated.states, simulated.targets)
+    observed = rows[:, : network.inputs] / 2.0**30 * network.box.ranges
+    error = np.abs(observed - exact) / network.box.ranges
     # A yaw within rounding of half a turn is the same angle on either side.
     if "attitude" in network.box.layout:
         turn = network.box.layout.slice("attitude").start + 2
@@ -224,7 +224,7 @@ def check_simulator(c: Context) -> str:
         error[:, turn] = np.minimum(error[:, turn], other)
     worst = float(error.max())
     require(worst <= OBSERVATION_TOLERANCE, f"an input is {worst:.2g} of its range apart")
-    positions, targets = flights.wander(own, steps=5000)
+    positions, targets = flights.wander(race, steps=5000)
     events = c.library.events(positions, int(targets[0]))
     # The simulator's target at a step is the one after the step's own crossing.
     wrong = np.flatnonzero(events[:, 1] != targets)
@@ -250,10 +250,10 @@ def check_estimators(c: Context) -> str:
 
 def _disturbances(c: Context) -> str:
     """Of a drone that tumbles, clipped to the ranges."""
-    tables, own, rng = c.fixed.estimator, c.exported.own, np.random.default_rng(0)
+    tables, race, rng = c.fixed.estimator, c.exported.race, np.random.default_rng(0)
     assert tables is not None
     options = c.exported.options
-    rate, cutoff, vehicle = options.sample_rate, options.cutoff, own.params.vehicle
+    rate, cutoff, vehicle = options.sample_rate, options.cutoff, race.params.vehicle
     log = measurements.tumbling(rng, rate, MOTION_SAMPLES / rate)
     limits = np.ldexp(np.float32(1.0), np.array(tables.exponents))
     log = np.clip(log, -limits, limits).astype(np.float32)
@@ -267,14 +267,14 @@ def _disturbances(c: Context) -> str:
 
 def _highest(c: Context) -> str:
     """At full power and less in turn as the battery empties."""
-    tables, own, rng = c.fixed.battery, c.exported.own, np.random.default_rng(0)
+    tables, race, rng = c.fixed.battery, c.exported.race, np.random.default_rng(0)
     assert tables is not None
-    rate, constants = tables.sample_rate, own.params.vehicle.constants
+    rate, constants = tables.sample_rate, race.params.vehicle.constants
     log = measurements.full_power_bursts(rng, constants, rate, MOTION_SAMPLES / rate)
-    found, first = c.library.highest_rpm(log), tables.first * tables.unit
-    require(np.array_equal(found, estimate_highest(tables, log)), "C and NumPy differ")
+    highest, first = c.library.highest_rpm(log), tables.first * tables.unit
+    require(np.array_equal(highest, estimate_highest(tables, log)), "C and NumPy differ")
     exact = measurements.highest_float64(constants, first, log, rate)
-    worst = float(np.abs(found - exact).max())
+    worst = float(np.abs(highest - exact).max())
     require(worst <= BATTERY_TOLERANCE, f"the highest rpm is off by {worst:.2g} rpm")
     return f"{len(log)} samples: the highest rpm within {worst:.1e} rpm of float64"
 
@@ -283,7 +283,7 @@ def check_race_of_policy(c: Context) -> str:
     """The race in the C is the one in the policy file."""
     converted, path = c.exported, c.path / POLICY_FILE
     allowed = c.allow_other_race and converted.options.allow_other_race
-    check = functools.partial(check_race, converted.policy, converted.own, path)
+    check = functools.partial(check_race, converted.policy, converted.race, path)
     return _unless(allowed, check, "allow_other_race=True")
 
 
@@ -292,12 +292,12 @@ def check_flights(c: Context) -> str:
     converted = c.exported
     laps = c.rollouts.laps
     allowed = c.allow_unfinished and converted.options.allow_unfinished
-    check = functools.partial(flights.check_finished, laps, converted.own, c.fixed.name)
+    check = functools.partial(flights.check_finished, laps, converted.race, c.fixed.name)
     text = _unless(allowed, check, "allow_unfinished=True")
     if not c.runs:
         return text
     ranges = c.fixed.network.box.declared
-    single, fixed = flights.fly_float_and_fixed(converted.own, converted.policy, ranges, c.runs)
+    single, fixed = flights.fly_float_and_fixed(converted.race, converted.policy, ranges, c.runs)
     require(single.crashes == fixed.crashes, "fixed point has other finishes than float")
     both = np.isfinite(single.totals)
     apart = float(np.max(np.abs(single.totals[both] - fixed.totals[both]), initial=0.0))
