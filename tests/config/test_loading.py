@@ -240,9 +240,9 @@ track.generate.turn_deg=20 | found no track with gates 8, leg [3.0, 8.0] and tur
 track.generate.seed=1 track.closed=false | track.closed has no effect
 track=square4 track.generate.seed=1 | track.gates has no effect
 track.generate.seed=1 rules.position_limit=3 | track.gates[0].position is
-observation.constants=true | observation.constants is True, allowed: false where ra
+observation.constants=true | observation.constants is true, allowed: false where ra
 randomization.thrust=0.2 'observation={constants: true, critic_constants: true}' | false with observ
-observation.critic_constants=true | critic_constants is True, allowed: false where rand
+observation.critic_constants=true | critic_constants is true, allowed: false where rand
 randomization.all=0.2 randomization.width=0 observation.critic_constants=true | critic_constants is
 track.closed=false 'track.start={position: [0, 0, -1]}' 'evaluate={laps: 1, gates: 3}' | null with
 """.strip().splitlines()

@@ -65,7 +65,7 @@ def test_a_policy_with_a_critic_of_another_size_gives_its_policy_only():
 
 def test_scheduled_draws_are_observed_only_where_there_is_a_width():
     scheduled = "schedules={randomization.all: {linear: [0.0, 0.2]}}"
-    with pytest.raises(InputError, match="critic_constants is True, allowed: false where rand"):
+    with pytest.raises(InputError, match="critic_constants is true, allowed: false where rand"):
         make_config(scheduled, OWN[1])
     assert privileged_constants(make_config("randomization.all=0.2", scheduled, OWN[1]))
 
