@@ -109,11 +109,11 @@ def call(command: Callable[..., int | None], name: str, argv: Sequence[str]) -> 
         _, bound, _ = app.parse_args(list(argv), exit_on_error=False, print_error=False)
     except CycloptsError as error:
         text = str(error).removesuffix(".")
-        if isinstance(error, MissingArgumentError) and error.argument is not None:
-            name = error.argument.name
-            text = f"{name}: expected a value after it" if name in argv else f"{name} is missing"
-        if error.argument is not None and error.argument.name not in text:
-            text = f"Invalid value for {error.argument.name}: {text}"
+        option = None if error.argument is None else error.argument.name
+        if option and option not in argv and isinstance(error, MissingArgumentError):
+            text = f"{option} is missing"
+        elif option is not None and option not in text:
+            text = f"Invalid value for {option}: {text}"
         raise InputError(f"{text} (try --help)") from error
     check_outputs(command, bound.arguments)
     SET_OPTIONS.set(frozenset(bound.arguments))

@@ -22,7 +22,7 @@ def limit(
     /,
     *overrides: opt.Overrides,
     policy: Annotated[opt.PolicyFile | None, Parameter(group=SEARCH)] = None,
-    guess: Annotated[list[opt.InputFile] | None, Parameter(group=SEARCH)] = None,
+    guess: Annotated[opt.InputFiles | None, Parameter(group=SEARCH)] = None,
     bound_speed: Annotated[MeterPerSecond | None, Parameter(group=SEARCH)] = None,
     starts: Annotated[int, Parameter(converter=opt.whole(1, 100), group=SEARCH)] = 2,
     seconds: Annotated[int, Parameter(converter=opt.whole(1, 86_400), group=SEARCH)] = 300,

@@ -143,7 +143,7 @@ Overrides = Annotated[
 RunName = Annotated[str, Parameter(converter=_run_name, metavar="NAME", help="Name of the folder.")]
 A_POLICY = path_to("a policy file, the folder of a run, or a shipped policy", policy_file)
 PolicyFile = Annotated[Path, Parameter(converter=A_POLICY, metavar="FILE.npz")]
-PolicyFiles = Annotated[tuple[Path, ...], several(A_POLICY, at_once=False, metavar="FILE.npz")]
+PolicyFiles = Annotated[tuple[Path, ...], several(A_POLICY, False, "FILE.npz")]
 PlantConfig = Annotated[str, config_of("plant"), Parameter(metavar="CONFIG")]
 FitConfig = Annotated[str, config_of("fit"), Parameter(metavar="FIT.yaml")]
 Race = Annotated[str | None, Parameter(metavar="CONFIG")]
@@ -153,6 +153,7 @@ Folder = Annotated[
 ]
 RunsFolder = Annotated[Folder, Parameter(help="Write to DIR/NAME.")]
 InputFile = Annotated[Path, Parameter(converter=path_to("a file"), metavar="FILE")]
+InputFiles = Annotated[tuple[Path, ...], several(path_to("a file"), False, "FILE")]
 Seed = Annotated[int, Parameter(converter=whole(0, MAX_SEED))]
 Seeds = Annotated[tuple[int, ...], several(whole(0, MAX_SEED)), Parameter(metavar="N ...")]
 Laps = Annotated[int, Parameter(converter=whole(1, MAX_LAPS))]

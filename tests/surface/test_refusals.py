@@ -143,6 +143,7 @@ limit e2e --clearance -1 | --clearance
 limit e2e --laps 0 | --laps
 limit e2e --laps 3 --gates 3 | --gates
 limit e2e --speed 0 | --speed
+limit e2e --guess '' | --guess '' file
 limit e2e --bound-speed 0 | --bound-speed
 limit e2e --centers --clearance 1 | --clearance --centers
 limit 'indi +fastest' --clearance 0.5 | gate 1 0.5
@@ -176,7 +177,7 @@ replay short.csv --policy e2e --json x.txt | .txt
 replay short.csv --policy e2e --logs nosuch | nosuch
 logs nosuch --policy e2e --output out | nosuch
 logs standin --flights 0 | --output missing
-logs standin --policy e2e --output | --output value
+logs standin --policy e2e --output | --output argument
 export nosuch --output out | nosuch
 export e2e --output notes.txt | notes.txt
 export e2e --output out --target avr | avr cortex-a9
