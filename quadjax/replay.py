@@ -247,8 +247,8 @@ def _predict(
     label = f"model {model.name}"
     errors = {label: _errors(ahead, truth), "unchanged": _errors(unchanged, truth)}
     rms = [
-        {name: np.sqrt((values**2).mean(axis=0)).tolist() for name, values in each.items()}
-        for each in errors.values()
+        {name: np.sqrt((values**2).mean(axis=0)).tolist() for name, values in errors_of.items()}
+        for errors_of in errors.values()
     ]
     numbers = {"model": model.name, "drive": drive, "windows": len(starts)}
     numbers |= {"horizons": (steps * step).tolist(), "rms_error": rms[0], "rms_unchanged": rms[1]}

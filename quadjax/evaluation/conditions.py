@@ -179,11 +179,11 @@ class Conditions(Section):
         for name in vehicle_model(base).populations:
             condition = Condition(label=name, overrides=(f"randomization={{population: {name}}}",))
             yield condition, listed.setdefault(name, condition.race(base))
-        drawn = config.randomization
-        if drawn.drawn and drawn.replace(tracks=None) not in [
+        randomization = config.randomization
+        if randomization.drawn and randomization.replace(tracks=None) not in [
             race.randomization for race in listed.values()
         ]:
-            yield Condition(label="config"), base.replace(randomization=drawn)
+            yield Condition(label="config"), base.replace(randomization=randomization)
 
 
 def read_conditions(

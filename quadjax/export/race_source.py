@@ -93,8 +93,8 @@ def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> C
     names = model.groups["limits"]
 
     def command_range(values: jax.Array) -> jax.Array:
-        own = constants.replace(**dict(zip(names, values, strict=True)))
-        return jnp.stack([jnp.asarray(x) for x in jax.tree.leaves(model.command_range(own))])
+        scaled = constants.replace(**dict(zip(names, values, strict=True)))
+        return jnp.stack([jnp.asarray(x) for x in jax.tree.leaves(model.command_range(scaled))])
 
     wanted = np.concatenate([policy.command_low, policy.command_high])
     ends = (jax.tree.leaves(end) for end in model.command_range(constants))

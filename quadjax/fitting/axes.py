@@ -77,7 +77,7 @@ def with_common(samples: Samples, base: RacingConstants) -> RacingConstants:
         if len(stems) == len(names):
             continue
         of_stem = [[name.rstrip(ROTORS) == stem for name in names] for stem in stems]
-        columns = np.stack([samples.regressors[axis][:, own].sum(axis=1) for own in of_stem], 1)
+        columns = np.stack([samples.regressors[axis][:, mask].sum(axis=1) for mask in of_stem], 1)
         # About their means: unequal rotors balance each other in hover.
         columns, target = columns - columns.mean(axis=0), samples.measured[:, AXES.index(axis)]
         size = np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-12)

@@ -87,11 +87,11 @@ def find_logs(config: LogsConfig, folder: Path) -> list[Path]:
     """
     paths: list[Path] = []
     for pattern in config.files:
-        found = _expand(Path(), pattern) or _expand(folder, pattern)
-        if not found:
+        files = _expand(Path(), pattern) or _expand(folder, pattern)
+        if not files:
             hint = STANDIN_HINT if STANDIN_LOGS in Path(pattern).parts else ""
             raise InputError(f"{pattern or repr(pattern)}: no such file (logs.files){hint}")
-        paths += [path for path in found if path not in paths]
+        paths += [path for path in files if path not in paths]
     if not paths:
         raise InputError("logs.files is empty, expected at least one flight log")
     names = [path.stem for path in paths]

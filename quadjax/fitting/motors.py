@@ -108,13 +108,13 @@ def _never_follow(commands: Sequence[np.ndarray], what: str) -> str:
 
 
 def _fit_lag(
-    parts: Sequence[Followed], group: str, tau: Parameter, what: str, least: float = -np.inf
+    parts: Sequence[Followed], group: str, tau: Parameter, what: str, lowest: float = -np.inf
 ) -> Estimate:
     """Fit one time constant, s, over the flights that have commands."""
     reason = _never_follow([part.command for part in parts], what)
     if reason:
         return unknown(group, {tau.name: tau.base}, reason)
-    options = {"group": group, "parameters": [tau], "least_explained": least}
+    options = {"group": group, "parameters": [tau], "least_explained": lowest}
     return solve(_lag_problem(parts, lambda values, index, part: part.command, **options))
 
 

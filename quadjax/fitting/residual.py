@@ -144,13 +144,13 @@ def fit_residuals(
     choices: dict[LeftOut, dict[str, Choice]] = {left_out: {} for left_out in complete}
     for network in NETWORKS:
         report(f"training the {network.name} network, {len(models)} times {config.seeds} seeds")
-        own = {left_out: error[:, network.columns] for left_out, error in errors.items()}
-        trained = _Trained(network, inputs[:, : network.inputs], own, thinned, config, seed)
+        targets = {left_out: error[:, network.columns] for left_out, error in errors.items()}
+        trained = _Trained(network, inputs[:, : network.inputs], targets, thinned, config, seed)
         ensembles = [trained.select(left_out) for left_out in complete]
         report(f"distilling the {network.name} network")
         results = _distill(network, ensembles, 2 * config.epochs, seed)
-        for left_out, ensemble, (found, grades) in zip(complete, ensembles, results, strict=True):
-            layers[left_out].append(found)
+        for left_out, ensemble, (nets, grades) in zip(complete, ensembles, results, strict=True):
+            layers[left_out].append(nets)
             for choice, grade in zip(ensemble.choices, grades, strict=True):
                 choices[left_out][choice.axis] = replace(choice, distilled=float(grade))
     return {key: ResidualFit(_residual(base, layers[key]), choices[key]) for key in complete}

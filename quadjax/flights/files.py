@@ -161,8 +161,8 @@ def _flight_at(
     passed, ends = arrays["passages"][index].reshape(-1, 3), arrays["lap_ends"][index]
     signals = {}
     for name, (unit, labels, size) in (
-        (name, (each["unit"], each["labels"], each["size"]))
-        for name, each in about["signals"].items()
+        (name, (record["unit"], record["labels"], record["size"]))
+        for name, record in about["signals"].items()
     ):
         values = arrays[name][index, :count, :size].astype(np.float64)
         if values.shape != (count, size):

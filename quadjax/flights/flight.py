@@ -264,9 +264,9 @@ def vehicle_signals(
         return {"command": Signal(command), "actuators": Signal(actuators)}
     units: list[str] = []
     labels: list[str] = []
-    for each in model.commands:
-        units += [each.unit] * each.size
-        labels += _labels(each.name, each.size)
+    for command_signal in model.commands:
+        units += [command_signal.unit] * command_signal.size
+        labels += _labels(command_signal.name, command_signal.size)
     unit = units[0] if len(set(units)) == 1 else tuple(units)
     state = model.actuators
     return {

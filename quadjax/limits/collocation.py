@@ -225,7 +225,7 @@ def _add_gate(
     """The passage of one gate at one node."""
     gates, clearance = problem.gates, problem.flight.clearance
     offset = place - gates.position[gate]
-    local, speed = (casadi.mtimes(gates.axes[gate], each) for each in (offset, velocity))
+    local, speed = (casadi.mtimes(gates.axes[gate], vector) for vector in (offset, velocity))
     bound(program, local[0], BEYOND, BEYOND)
     bound(program, speed[0], SLOWEST_PASSAGE, np.inf)
     if clearance is None:

@@ -77,9 +77,9 @@ def begin(plan: Plan, key: jax.Array) -> Drones:
         state = plant.begin(plan.plant, body, left, first)
         computers = onboard.begin(plan.onboard, plan.plant, state, rest)
         zero, action = jnp.zeros((), jnp.int32), no_action(plan.choices, plan.race)
-        known = _known_motion(plan, computers)
+        observed = _known_motion(plan, computers)
         race = RaceState(body, zero, zero, zero, None, action=action)
-        past = begin_past(plan.choices.layout, race.replace(drone=known))
+        past = begin_past(plan.choices.layout, race.replace(drone=observed))
         return race.replace(past=past), state, computers
 
     of_noise, of_charge = jax.random.split(key)
@@ -157,8 +157,8 @@ def _known_motion(plan: Plan, computers: OnboardState) -> RigidBodyState:
 def remember(plan: Plan, before: Drones, drones: Drones, action: jax.Array) -> Drones:
     """One drone after a control step, with what the policy observes of the step itself."""
     state = before.race.state
-    known = state.replace(drone=_known_motion(plan, before.onboard))
-    past = push_past(state.past, known)
+    observed = state.replace(drone=_known_motion(plan, before.onboard))
+    past = push_past(state.past, observed)
     clipped = None if state.action is None else clipped_action(action)
     after = drones.race.state.replace(past=past, action=clipped)
     return drones.replace(race=drones.race.replace(state=after))

@@ -178,11 +178,11 @@ def _turn_scale(turn: Rotors, low: Rotors, high: Rotors) -> jax.Array:
 def _added_scale(base: Rotors, added: Rotors, low: Rotors, high: Rotors) -> jax.Array:
     """Largest factor () on ``added`` such that ``base`` plus it fits within the limits."""
     fraction = jnp.ones_like(base.w1)
-    for b, d, least, most in zip(
+    for b, d, lowest, highest in zip(
         base.components(), added.components(), low.components(), high.components(), strict=True
     ):
         # Rounding may leave ``base`` just beyond a limit.
-        room = jnp.maximum(jnp.where(d > 0.0, most - b, b - least), 0.0)
+        room = jnp.maximum(jnp.where(d > 0.0, highest - b, b - lowest), 0.0)
         size = jnp.abs(d)
         tight = size > room
         fraction = jnp.where(

@@ -132,7 +132,7 @@ def drawn_factors(config: PlantConfig) -> tuple[dict[str, float], np.ndarray]:
 
 
 def begin(
-    params: PlantParams, body: RigidBodyState, charge: jax.Array, drawn: jax.Array
+    params: PlantParams, body: RigidBodyState, charge: jax.Array, draws: jax.Array
 ) -> PlantState:
     """A drone at the start: frame undeflected, pending commands equal to its rotor speeds.
 
@@ -140,14 +140,14 @@ def begin(
         params: of the plant.
         body: the motion at the start.
         charge: () of the battery, 0 to 1.
-        drawn: (gusts.START_DRAWS,) standard normal numbers.
+        draws: (gusts.START_DRAWS,) standard normal numbers.
     """
     physics = Physics(
         body, jax.tree.map(jnp.zeros_like, body.actuators), Vec3.zero(), Vec3.zero(), charge
     )
     still, phase = Vec3.zero(), Rotors.of(jnp.zeros(4))
     line = (body.actuators,) * params.command_delay
-    return PlantState(physics, still, phase, gusts.init(drawn), line)
+    return PlantState(physics, still, phase, gusts.init(draws), line)
 
 
 def forces(
@@ -219,7 +219,7 @@ def update(
     params: PlantParams,
     state: PlantState,
     command: Rotors,
-    drawn: jax.Array,
+    draws: jax.Array,
     call: Caller = call_directly,
 ) -> PlantState:
     """One drone one sample later.
@@ -228,7 +228,7 @@ def update(
         params: of the plant.
         state: from ``begin`` or the last ``update``.
         command: rpm, clipped to the range of the motors.
-        drawn: (gusts.DRAWS,) standard normal numbers.
+        draws: (gusts.DRAWS,) standard normal numbers.
         call: calls a function; see ``quadjax.core.materialize``.
     """
     low, high = motor.MODEL.command_range(params.vehicle.constants)
@@ -249,7 +249,7 @@ def update(
         state.phase,
         body.actuators,
     )
-    following = gusts.update(params.gusts, state.gusts, body.velocity, params.step, drawn)
+    following = gusts.update(params.gusts, state.gusts, body.velocity, params.step, draws)
     return PlantState(physics.replace(body=body), turning, phase, following, tuple(waiting))
 
 
