@@ -50,8 +50,8 @@ def config_layers(path: Path, parts: Sequence[str], overrides: Sequence[str]) ->
         files.append((path, {"name": "_".join([names[-1], *stems])}))
     layers = [x for file, tree in files for x in _with_files(file, tree, [Path(file).parent])]
     over = parse_overrides([_expand(override) for override in overrides])
-    keys = [override.partition("=")[0] for override in overrides]
-    over_layers = _with_files(OVERRIDES, over, [Path(), path.parent], keys)
+    written = [override.partition("=")[0] for override in overrides]
+    over_layers = _with_files(OVERRIDES, over, [Path(), path.parent], written)
     defaults: list[Layer] = []
     for section, name in DEFAULTS.items():  # but of a section whose values a file has itself
         keys = {key for _, tree in files for key in _section(tree, section)}
