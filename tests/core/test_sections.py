@@ -144,7 +144,7 @@ def test_bases_refused(tmp_path):
 
 
 def test_overrides():
-    parsed = parse_overrides(["a.b=1e3", "a.c=[1, 2]", "x=", "y=true", "z=a=b"])
+    parsed = parse_overrides(["a.b=1e3", "a.c=[1, 2]", "x=null", "y=true", "z=a=b"])
     assert parsed == {"a": {"b": 1e3, "c": [1, 2]}, "x": None, "y": True, "z": "a=b"}
     for word in ("a", "=3", "a..b=3", ".=1", ".".join("a" * 2000) + "=1"):
         with pytest.raises(InputError, match="is not of the form key=value"):

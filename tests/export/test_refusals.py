@@ -44,7 +44,10 @@ POLICIES = [  # words of the message, changes of the policy, its race or its exp
         "log_std 0: a standard deviation of .* allowed: 0 to",
         {"log_std": np.full(4, 20.0, np.float32), "options": ALLOWED | {"sampled": True}},
     ),
-    ("battery is null, and .* observes highest_rpm", {"name": EVERYTHING, "config": ["battery="]}),
+    (
+        "battery is null, and .* observes highest_rpm",
+        {"name": EVERYTHING, "config": ["battery=null"]},
+    ),
     ("sums may reach .* allowed", {"name": EVERYTHING, "config": [SLOW], "options": ANYWHERE}),
     ("battery.* in training", {"name": EVERYTHING, "config": ["battery.charge=[0.5, 0.6]"]}),
     (
