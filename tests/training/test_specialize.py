@@ -74,7 +74,7 @@ def test_what_cannot_be_specialized_is_refused(tmp_path):
     with pytest.raises(InputError, match="does not observe constants, allowed: a policy that was"):
         specialize(untrained_policy(make_config(SMALL)), quadjax.load(BLANK))
     seeing = untrained_policy(make_config(DRAWN, SEES, SMALL))
-    with pytest.raises(InputError, match="a policy for vehicle.model=motor, the race has"):
+    with pytest.raises(InputError, match="a policy for the motor vehicle; vehicle.model of the"):
         specialize(seeing, make_config("vehicle=5inch"))
     specialize(seeing, quadjax.load(BLANK)).save(tmp_path / "one.npz")
     assert "constants" not in Policy.load(tmp_path / "one.npz").layout
