@@ -14,14 +14,15 @@ from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED
 
 Part = Literal["table", "plants"]
+ShippedPolicy = Annotated[opt.PolicyFile, Parameter(show_default=lambda path: path.stem)]
 
 
 def compare(
     config: Annotated[str, Parameter(name="CONFIG"), opt.config_of("plant")],
     /,
     *overrides: opt.Overrides,
-    e2e: opt.PolicyFile = PRETRAINED / "e2e_nominal.npz",
-    indi: opt.PolicyFile = PRETRAINED / "indi_shac.npz",
+    e2e: ShippedPolicy = PRETRAINED / "e2e_nominal.npz",
+    indi: ShippedPolicy = PRETRAINED / "indi_shac.npz",
     race: Annotated[str, Parameter(metavar="CONFIG")] = "e2e",
     parts: Annotated[list[Part] | None, Parameter(consume_multiple=True)] = None,
     conditions: Annotated[
@@ -45,7 +46,7 @@ def compare(
     Example: quadjax compare standin --parts table --runs 100
 
     Args:
-        e2e: The default is e2e_nominal, which like indi_shac is not fitted to the plant.
+        e2e: The policy that commands the motors. Neither default is fitted to the plant.
         indi: The policy that commands thrust and rates.
         race: Preset or YAML file, whose vehicle is the model on board.
         parts: Some of the parts (default: all).

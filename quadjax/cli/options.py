@@ -170,7 +170,10 @@ class Logs:
 
     logs: Annotated[
         FitConfig | None,
-        Parameter(help="Fit config that names the columns of the logs (default: plain columns)."),
+        Parameter(
+            help="Fit config that names the columns of the logs (default: by the header; "
+            "of replay: plain columns)."
+        ),
     ] = None
     allow_code: AllowCode = False
 
