@@ -88,8 +88,10 @@ def measure(kind: str, name: str, num_envs: int, repeats: int) -> str:
     )
     call()  # compiles, and touches memory for the first time
     times = [timeit.timeit(call, number=1) for _ in range(repeats)]
-    speeds = f"{steps / statistics.median(times):,.0f} ({steps / max(times):,.0f})"
-    return f"{kind:>12} {name:>10} {num_envs or config.learner.num_envs:>8,} {speeds} steps/s"
+    speed, time_step = steps / statistics.median(times), config.rules.time_step
+    simulated = f"{speed * time_step:,.0f} simulated s/s at {1.0 / time_step:.0f} Hz"
+    speeds = f"{speed:,.0f} ({steps / max(times):,.0f}) steps/s, {simulated}"
+    return f"{kind:>12} {name:>10} {num_envs or config.learner.num_envs:>8,} {speeds}"
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import base_model
 
 SMALLEST_LEG = 0.01  # m
+EULER_DEG = 89.0  # largest pitch of a start with Euler angles
 MAX_THRUST = 1000.0  # times the weight
 INERTIA_TOLERANCE = 1.1  # of the triangle inequality, as moments of inertia are measured
 Values = Mapping[str, float]
@@ -221,6 +222,9 @@ def _check_track(config: Config) -> None:
     ``rules.ground_speed``, and within the bounds.
     """
     rules, start, track, laps = config.rules, config.start, config.track, config.evaluate
+    if start.roll_pitch_deg > EULER_DEG and not config.vehicle.quaternion:
+        allowed = f"at most {EULER_DEG:g} without vehicle.quaternion"
+        refuse("start.roll_pitch_deg", start.roll_pitch_deg, allowed)
     for index, (low, high) in enumerate(rules.bounds or ()):
         if low >= high:
             refuse(f"rules.bounds[{index}]", [low, high], "[lowest, highest], which differ")
@@ -272,6 +276,6 @@ def _check_gate(config: Config, index: int) -> None:
         allowed = "z below 0 (above ground), within rules.bounds and rules.position_limit"
         refuse(f"{key}.position", gate.position, allowed)
     before = gates[index - 1].position
-    if (index or config.track.closed) and math.dist(before, gate.position) < SMALLEST_LEG:
-        allowed = "another place than the gate before it" + " (itself)" * (len(gates) == 1)
-        refuse(f"{key}.position", gate.position, allowed)
+    follows = index > 0 or (config.track.closed and len(gates) > 1)
+    if follows and math.dist(before, gate.position) < SMALLEST_LEG:
+        refuse(f"{key}.position", gate.position, "another place than the gate before it")

@@ -56,7 +56,9 @@ class Start(Section):
     velocity: Annotated[HalfWidth, Unit("m/s")] = Field(
         0.5, description="half-width of each component, m/s"
     )
-    roll_pitch_deg: float = Field(40.0, ge=0, le=89, description="half-width of roll and pitch")
+    roll_pitch_deg: float = Field(
+        40.0, ge=0, le=180, description="half-width of roll and pitch; above 89 with a quaternion"
+    )
     yaw_deg: float = Field(180.0, ge=0, le=180, description="half-width of yaw about the heading")
     body_rates: Annotated[HalfWidth, Unit("1/s")] = Field(
         1.0, description="half-width of each component, rad/s"

@@ -200,6 +200,7 @@ training_limits.gate_inflation=-0.5 | allowed: above vehicle.width 0.32 and abov
 vehicle.constants.k_x=-1e-4 | vehicle.constants.k_x is -0.0001, allowed: at least 0
 'vehicle.mismatch={k_w: 0.1}' | vehicle.constants times vehicle.mismatch give a thrust of
 'vehicle.mismatch={tau: 0.01}' | vehicle.constants.tau times its mismatch is 0.0006, allowed
+start.roll_pitch_deg=120 | at most 89 without vehicle.quaternion
 'track.gates=[{position: [0, 0, -1]}, {position: [0, 0, -1], yaw_deg: 180}]' | another place
 'schedules.reward.gates.linear=[0, 1]' | reward.gates: unknown key; did you mean gate?
 'schedules.run.steps.linear=[0, 1]' | schedules.run.steps is 40000000, allowed: the key of a number

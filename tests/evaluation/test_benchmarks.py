@@ -87,3 +87,13 @@ def test_scripts_print_their_tables(tmp_path, monkeypatch, capsys):
     assert "| layer 2 |" in capsys.readouterr().out
     monkeypatch.setattr(speed, "STEPS_PER_CALL", 100)
     assert "steps/s" in speed.measure("observed", "bebop1", 2, 1)
+
+
+@pytest.mark.slow
+def test_throws_are_caught_only_after_training(tmp_path, capsys):
+    shares = []
+    for steps in (512, 200_000):
+        words = [f"run.steps={steps}", f"run.evaluate_every={steps}", "--throws", "200"]
+        assert run_script("hover", *words, "--output", tmp_path / str(steps)) == 0
+        shares.append(float(capsys.readouterr().out.split()[-2].rstrip("%")))
+    assert shares[0] == 0.0 and shares[1] > 10.0

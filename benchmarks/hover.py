@@ -1,0 +1,59 @@
+"""Train a policy to catch a thrown drone and hover, and throw the drone 10,000 times.
+
+The task by which RLtools and crazyflow report how fast they train. The race, its starts and sizes
+are in ``hover.yaml``; a throw has any attitude, up to 1 m, 2 m/s and 3 rad/s in each axis. It is
+caught if the drone is within 0.3 m of the point and below 0.5 m/s after 4 s.
+
+    python -m benchmarks.hover --seeds 0 1 2 3 4
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import numpy as np
+from cyclopts import Parameter
+
+import quadjax
+from quadjax.cli import script
+from quadjax.race.types import Step
+
+CONFIG = Path(__file__).with_suffix(".yaml")
+POINT = (0.0, 0.0, -20.0)  # m, of the gate in hover.yaml
+SECONDS, NEAR, SLOW = 4.0, 0.3, 0.5  # s, m, m/s
+
+
+def distance(step: Step) -> jax.Array:
+    """Minus the distance () from the point at which to hover, m, times the time step."""
+    return -step.distance * step.time_step
+
+
+def caught(policy: quadjax.Policy, config: quadjax.Config, throws: int) -> np.ndarray:
+    """Which throws (n,) are caught by the policy's mean action."""
+    flown = quadjax.evaluate(
+        policy, config, seconds=SECONDS, start="random", runs=throws, deterministic=True
+    )
+    ends = [(flight["position"][-1], flight["velocity"][-1]) for flight in flown.flights]
+    far, fast = np.linalg.norm(np.array(ends) - [POINT, (0.0, 0.0, 0.0)], axis=2).T
+    alive = np.array([flight.time[-1] for flight in flown.flights]) > SECONDS - 0.1
+    return alive & (far < NEAR) & (fast < SLOW)
+
+
+def hover(
+    *overrides: str,
+    seeds: Annotated[tuple[int, ...], Parameter(consume_multiple=True)] = (0,),
+    throws: int = 10_000,
+    output: Path = Path("runs/hover"),
+) -> None:
+    """Train with each seed, and print training time and the share of throws caught."""
+    for seed in seeds:
+        config = quadjax.load(CONFIG, [f"seed={seed}", *overrides])
+        run = quadjax.train(config, output / str(seed), overwrite=True, progress=False)
+        row = {key: values[-1] for key, values in run.metrics.items()}
+        training = row["steps"] / row["steps_per_second"]
+        share = 100.0 * caught(run.policy, config, throws).mean()
+        print(f"seed {seed}: {row['steps']:,.0f} steps in {training:.1f} s, {share:.2f}% caught")
+
+
+if __name__ == "__main__":
+    script(hover)
