@@ -1,7 +1,12 @@
 """Mistakes in a user's own functions and files: one line, and no folder of a run."""
 
+import sys
+
+import jax.numpy as jnp
+import optax
 import pytest
 
+from quadjax import Field, Learner, LearnerSection, TrainState
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.training.run import train
@@ -9,6 +14,41 @@ from tests.commands import run
 from tests.race.support import BLANK
 
 SMALL = ["run.steps=64", "run.evaluate_every=64", "network.hidden=[8]", "run.devices=1"]
+
+
+def vector(step):
+    return jnp.zeros(4)
+
+
+def attribute(step):
+    return step.nosuch
+
+
+THREE = Field("three", 1, "m", "world", value=lambda view: [0.0] * 3)
+
+
+def learner(init, update):
+    class Own(LearnerSection):
+        def make(self, environment, networks, num_updates):
+            def begin(hyper, params, key):
+                w = networks.init(key)
+                adam = optax.adam(1e-3).init(w)
+                return TrainState(w, adam, None, (), key, jnp.int32(0))
+
+            return Learner(init or begin, update, {}, 64)
+
+    return Own
+
+
+class NoLearner(LearnerSection):
+    def make(self, environment, networks, num_updates):
+        return None
+
+
+NO_STATE = learner(lambda hyper, params, key: 3, lambda hyper, params, state: state)
+NO_METRICS = learner(None, lambda hyper, params, state: (state,))
+LEAVES = learner(None, lambda hyper, params, state: sys.exit(3))
+DIVIDES = learner(None, lambda hyper, params, state: (state, {"reward": 1 / 0}))
 
 
 WRONG = """
@@ -29,7 +69,7 @@ learner.algorithm=OWN:DIVIDES | OWN:DIVIDES: ZeroDivisionError: division
 
 @pytest.mark.parametrize("row", WRONG)
 def test_a_mistake_is_one_line_before_the_folder_exists(row, tmp_path):
-    override, _, message = row.replace("OWN", "tests.training.own").partition(" | ")
+    override, _, message = row.replace("OWN", __name__).partition(" | ")
     config = load_config(BLANK, [*SMALL, override])
     with pytest.raises(InputError) as caught:
         train(config, tmp_path / "run", progress=False)
