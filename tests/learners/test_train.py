@@ -55,22 +55,18 @@ def test_training_finds_the_best_action(name, caplog):
     assert result.parameters.policy[0][0].shape == (3, 16)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"steps": 0}, "steps is 0, allowed: an integer, 1 "),
-        (
-            {"schedules": {"learning_rat": [1.0, 0.0]}},
-            "learning_rat is no hyperparameter and no number of the env",
-        ),
-        ({"schedules": {"num_epochs": [2, 3]}}, "num_epochs cannot be scheduled"),
-    ],
+WRONG = (
+    ({"steps": 0}, "steps is 0, allowed: an integer, 1 "),
+    ({"schedules": {"learning_rat": [1.0, 0.0]}}, "learning_rat is no hyperparameter and no numb"),
+    ({"schedules": {"num_epochs": [2, 3]}}, "num_epochs cannot be scheduled"),
 )
+
+
+@pytest.mark.parametrize(("arguments", "message"), WRONG)
 def test_wrong_arguments_are_one_line(arguments, message):
+    arguments = {"steps": 1000, "network": NETWORK} | arguments
     with pytest.raises(InputError, match=message):
-        DEFAULTS["ppo"].train(
-            ENVIRONMENT, probe(), **{"steps": 1000, "network": NETWORK} | arguments
-        )
+        DEFAULTS["ppo"].train(ENVIRONMENT, probe(), **arguments)
 
 
 class Ascent(LearnerSection):
