@@ -1,6 +1,5 @@
 """E2E against INDI: rows, the lead on common flights, drawn plants, and the command."""
 
-import dataclasses
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,11 +13,8 @@ from quadjax.config.loading import load_config
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.plants import drawn
 from quadjax.evaluation.rows import Row, concatenate
-from quadjax.fitting.signals import first_order
 from quadjax.flights.flight import Flight, Signal
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.flights import race_config
-from quadjax.policy.file import Policy
 from tests.commands import run
 from tests.evaluation.support import flights
 
@@ -83,26 +79,10 @@ def test_the_table_of_plants_is_of_the_flights_that_both_finish():
     assert (found["both finish"], found["finished"], found["runs"]) == (1, 4, 4)
 
 
-def test_commands_mean_what_the_policy_was_trained_with():
-    limits = load_config("indi", ["vehicle.constants.thrust_max=20"])
-    policy = Policy.load(PRETRAINED / "indi_shac.npz")
-    own = dataclasses.replace(policy, config=limits.model_dump(mode="json", by_alias=True))
-    found = race_config(load_config("e2e +residual"), own).vehicle
-    assert found.model == "rate" and found.constants["thrust_max"] == 20.0
-
-
 def test_drawn_plants_differ_in_their_constants_only():
     first, second = drawn(PlantConfig(), 2)
     assert first == PlantConfig() and second.constants.seed == first.constants.seed + 1
     assert second.replace(constants=first.constants) == first
-
-
-def test_a_first_order_lag_of_held_commands():
-    dt, tau = 0.002, 0.06
-    made = first_order(np.full((200, 2), 5.0), np.array([1.0, 5.0]), tau, dt)
-    time = dt * np.arange(200)
-    np.testing.assert_allclose(made[:, 0], 5.0 - 4.0 * np.exp(-time / tau), rtol=1e-9)
-    np.testing.assert_allclose(made[:, 1], 5.0)
 
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: f"{v.group} {v.label}")

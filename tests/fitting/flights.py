@@ -89,7 +89,7 @@ def _commands(c, residual, x, target):
 
 
 @functools.cache
-def _flown(first, residual, still, factors):
+def _flown(first, residual, factors):
     """States (n, k, 22), commands (n, k, 4), forces (n, k, 3) of flights of consecutive seeds."""
     c = ref.MOTOR | {name: factor * ref.MOTOR[name] for name, factor in factors}
     own = as_reference(random_residual(*residual))
@@ -98,7 +98,7 @@ def _flown(first, residual, still, factors):
     x, dt, record = np.zeros((TOGETHER, 22)), 1.0 / RATE, []
     x[:, ref.RPM] = np.sqrt(c["g"] / (4.0 * c["k_w"]))
 
-    for target in targets * (1e-4 if still else 1.0):
+    for target in targets:
         u = _commands(c, own, x, target)
 
         def slope(x, u=u):
@@ -111,18 +111,17 @@ def _flown(first, residual, still, factors):
 
 
 @functools.cache
-def simulated(seed, residual=(0, 0.0, 0.0), noise=LEVEL, still=False, **factors):
+def simulated(seed, residual=(0, 0.0, 0.0), noise=LEVEL, **factors):
     """The columns, each (2000,), of a flight of a Bebop with scaled constants; not to be changed.
 
     Args:
         seed: of the flight and the noise.
         residual: arguments of ``random_residual``; one of zeros is the nominal model.
         noise: factor on the standard deviations of the sensors.
-        still: whether the drone hovers.
         factors: of constants, by name.
     """
     first = seed - seed % TOGETHER
-    flown = _flown(first, residual, still, tuple(factors.items()))
+    flown = _flown(first, residual, tuple(factors.items()))
     states, commands, forces = (values[:, seed - first] for values in flown)
     random = np.random.default_rng(seed)
     wandering(random)
@@ -150,6 +149,22 @@ def simulated(seed, residual=(0, 0.0, 0.0), noise=LEVEL, still=False, **factors)
 def first_seconds(columns: dict[str, np.ndarray], seconds: float) -> dict[str, np.ndarray]:
     """The beginning of a flight."""
     return {name: values[: round(seconds * RATE)] for name, values in columns.items()}
+
+
+def hover() -> dict[str, np.ndarray]:
+    """The columns, each (2000,), of a drone that hovers: noise alone."""
+    count, random = int(SECONDS * RATE), np.random.default_rng(0)
+
+    def noise(size, level=0.0, deviation=0.01):
+        return level + deviation * random.normal(size=(count, size))
+
+    vectors = ("position", "world_velocity", "euler", "gyro", "acceleration_bias")
+    return paparazzi_columns(
+        {"time": np.arange(count) / RATE, "mode": np.ones(count)}
+        | {name: noise(3) for name in vectors}
+        | {"acceleration": noise(3, np.array([0.0, 0.0, -9.81]))}
+        | {"rpm": noise(4, 7497.0, 30.0), "rpm_command": noise(4, 7497.0, 0.0)}
+    )
 
 
 def write_flights(folder, count: int, **options) -> list:

@@ -1,4 +1,4 @@
-"""Flights of racing quadcopters by an independent model, in the columns of other autopilots."""
+"""Flights of racing quadcopters by the float64 reference, in the columns of other autopilots."""
 
 import csv
 import struct
@@ -7,13 +7,12 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from .flights import runge_kutta
+from tests.vehicle.rigid_reference import PUBLISHED, Q, V, racing_derivative, rotation
 
 G, RATE = 9.81, 500.0
 ORDER = ("front_left", "front_right", "rear_right", "rear_left")
 ROLL, PITCH = np.array([1.0, -1.0, -1.0, 1.0]), np.array([1.0, 1.0, -1.0, -1.0])
-OTHERS = (2, 1, 3, 0)  # rear-right, front-right, rear-left, front-left
-PX4 = (1, 3, 0, 2)  # front-right, rear-left, front-left, rear-right
+PX4 = [1, 3, 0, 2]  # front-right, rear-left, front-left, rear-right
 
 
 def constants(path):
@@ -31,35 +30,8 @@ def constants(path):
     return found
 
 
-def steady(c, u):
-    return c["w_min"] + (c["w_max"] - c["w_min"]) * np.sqrt(c["k"] * u * u + (1 - c["k"]) * u)
-
-
-def forces(c, w, w_rate, v, rates):
-    total = w.sum()
-    force = np.array([-c["k_x"] * v[0] * total, -c["k_y"] * v[1] * total, -c["k_w"] * w @ w])
-    roll, pitch = (ROLL * c["k_p"]) @ (w * w), (PITCH * c["k_q"]) @ (w * w)
-    yaw = c["turning"] @ (c["k_r"] * w + c["k_rd"] * w_rate)
-    return force, np.array([roll, pitch, yaw])
-
-
-def _matrix(x):
-    """Body to world, of a state."""
-    return Rotation.from_quat(x[[7, 8, 9, 6]]).as_matrix()
-
-
-def _slope(c, x, u):
-    v, q, rates, w = x[3:6], x[6:10], x[10:13], x[13:]
-    matrix = _matrix(x)
-    w_rate = (steady(c, u) - w) / c["tau"]
-    force, spin = forces(c, w, w_rate, matrix.T @ v, rates)
-    p, r, s = rates
-    turn = np.array([[0, -p, -r, -s], [p, 0, s, -r], [r, -s, 0, p], [s, r, -p, 0]])
-    return np.concatenate([v, matrix @ force + [0, 0, G], 0.5 * turn @ q, spin, w_rate])
-
-
 def _command(c, x, target, hover, mixer):
-    matrix = _matrix(x)
+    matrix = rotation(x[None, Q])[0]
     roll, pitch = np.arctan2(matrix[2, 1], matrix[2, 2]), -np.arcsin(np.clip(matrix[2, 0], -1, 1))
     yaw = np.arctan2(matrix[1, 0], matrix[0, 0])
     turn = (target[2] - yaw + np.pi) % (2 * np.pi) - np.pi
@@ -74,12 +46,13 @@ def _command(c, x, target, hover, mixer):
     return np.clip(u + target[4:], 0.02, 1.0)
 
 
-def fly(c, seed, seconds, size=1.0):
-    """A flight: exact signals by name, (n, ..), at ``RATE``; ``size`` 0 is a hover."""
+def fly(c, seed, seconds):
+    """A flight: signals by name, (n, ..), at ``RATE``; noise on gyro and accelerometer."""
+    published = c | {name: c[name][PUBLISHED] for name in ("k_p", "k_q", "k_r", "k_rd")}
     random, count = np.random.default_rng(seed), int(seconds * RATE)
     time = np.arange(count)[:, None] / RATE
     targets = np.zeros((count, 8))
-    scale = np.array([0.5, 0.5, 1.2, 3.0, *[0.03] * 4]) * size
+    scale = np.array([0.5, 0.5, 1.2, 3.0, *[0.03] * 4])
     for low, high, weight in ((0.15, 0.4, 0.7), (0.4, 1.0, 0.5), (1.0, 2.5, 0.3)):
         f = random.uniform(low, high, 8) * np.array([1, 1, 1, 1, 4, 4, 4, 4])
         targets += weight * scale * np.sin(2 * np.pi * (f * time + random.uniform(0, 1, 8)))
@@ -93,23 +66,24 @@ def fly(c, seed, seconds, size=1.0):
         u = _command(c, x, target, hover, mixer)
         states.append(x)
         commands.append(u)
-        x = runge_kutta(lambda x, u=u: _slope(c, x, u), x, dt)
-        x[6:10] /= np.sqrt(x[6:10] @ x[6:10])
-    s = np.array(states)
+        middle = x + 0.5 * dt * racing_derivative(published, x[None], u[None])[0]
+        x = x + dt * racing_derivative(published, middle[None], u[None])[0]
+        x[Q] /= np.sqrt(x[Q] @ x[Q])
+    s, commands = np.array(states), np.array(commands)
     attitude = Rotation.from_quat(s[:, [7, 8, 9, 6]])
-    body = attitude.inv().apply(s[:, 3:6])
-    force = np.array([forces(c, w, 0 * w, v, 0)[0] for w, v in zip(s[:, 13:], body, strict=True)])
-    noise = random.normal
+    acceleration = racing_derivative(published, s, commands)[:, V]
+    force = attitude.inv().apply(acceleration - [0.0, 0.0, G])
+    noise = random.normal(size=(2, count, 3))
     return {
         "time": time[:, 0],
         "position": s[:, :3],
         "velocity": s[:, 3:6],
         "attitude": attitude,
         "quaternion": s[:, 6:10],
-        "gyro": s[:, 10:13] + noise(scale=0.01, size=(count, 3)),
-        "force": force + noise(scale=0.2, size=(count, 3)),
+        "gyro": s[:, 10:13] + 0.01 * noise[0],
+        "force": force + 0.2 * noise[1],
         "speed": s[:, 13:],
-        "command": np.array(commands),
+        "command": commands,
     }
 
 
@@ -120,8 +94,8 @@ def blackbox_columns(flight, flu=False):
         "time": (flight["time"] * 1e6 + 7e6)[:, None],
         "gyroADC": np.degrees(flight["gyro"]) * flip,
         "accSmooth": flight["force"] * flip / 9.80665 * 2048,
-        "motor": 158 + (2048 - 158) * flight["command"][:, OTHERS],
-        "omega": flight["speed"][:, OTHERS],
+        "motor": 158 + (2048 - 158) * flight["command"][:, PUBLISHED],
+        "omega": flight["speed"][:, PUBLISHED],
         "pos": flight["position"] * 1000,
         "vel": flight["velocity"] * 100,
         "quat": flight["quaternion"] * ((127 << 6) - 1),
@@ -157,7 +131,7 @@ def tii_columns(flight, by_rows=True):
     columns = {"elapsed_time": flight["time"]}
     for name, values in signals.items():
         columns |= {f"{name}{axis}": values[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"thrust[{i}]": flight["command"][:, k] for i, k in enumerate(OTHERS)}
+    columns |= {f"thrust[{i}]": flight["command"][:, k] for i, k in enumerate(PUBLISHED)}
     order = matrix if by_rows else matrix.transpose(0, 2, 1)
     return columns | {f"drone_rot[{i}]": order.reshape(-1, 9)[:, i] for i in range(9)}
 
@@ -176,29 +150,17 @@ def ulog_topics(flight):
     Rates of PX4's profiles "default" and "high rate" together: the position every 100 ms, the
     telemetry of the speed controllers every 5 ms at most, the rest as it is published.
     """
+    place = dict(zip("xyz", flight["position"].T, strict=True))
+    velocity = dict(zip(("vx", "vy", "vz"), flight["velocity"].T, strict=True))
+    rpm = flight["speed"][:, PX4].T * 30 / np.pi
+    unused = np.full((len(flight["time"]), 8), np.nan)
     return {
         "vehicle_angular_velocity": (500, {"xyz": flight["gyro"]}),
         "sensor_combined": (250, {"accelerometer_m_s2": flight["force"]}),
         "vehicle_attitude": (250, {"q": flight["quaternion"]}),
-        "vehicle_local_position": (
-            10,
-            {
-                **{name: flight["position"][:, i] for i, name in enumerate("xyz")},
-                **{f"v{name}": flight["velocity"][:, i] for i, name in enumerate("xyz")},
-            },
-        ),
-        "esc_status": (
-            RATE / 3,
-            {f"esc[{i}].esc_rpm": flight["speed"][:, k] * 30 / np.pi for i, k in enumerate(PX4)},
-        ),
-        "actuator_motors": (
-            500,
-            {
-                "control": np.pad(
-                    flight["command"][:, PX4], ((0, 0), (0, 8)), constant_values=np.nan
-                )
-            },
-        ),
+        "vehicle_local_position": (10, place | velocity),
+        "esc_status": (RATE / 3, {f"esc[{i}].esc_rpm": values for i, values in enumerate(rpm)}),
+        "actuator_motors": (500, {"control": np.hstack([flight["command"][:, PX4], unused])}),
     }
 
 
@@ -214,9 +176,8 @@ def write_ulog(path, flight, topics):
         for name, values in fields.items():
             values = np.asarray(values)
             kind = "int32_t" if name.endswith("rpm") else "float"
-            plain = name.replace("esc[", "esc").replace("].", "_")
             size = f"[{values.shape[1]}]" if values.ndim > 1 else ""
-            names.append(f"{kind}{size} {plain}")
+            names.append(f"{kind}{size} {name}")
             columns += [(kind, column) for column in np.atleast_2d(values.T)]
         if topic == "esc_status":  # a nested message, as in PX4
             head.append(message("F", b"esc_report:int32_t esc_rpm;"))

@@ -1,7 +1,4 @@
-"""Faults of a log's columns: negated, swapped, constant, scaled, late, turned.
-
-Each must be refused in one line.
-"""
+"""Faults of a log's columns, each refused in one line."""
 
 import itertools
 
@@ -14,7 +11,7 @@ from quadjax.fitting.flight_log import log_of_columns
 from quadjax.fitting.formats import FORMATS, PAPARAZZI, PLAIN
 
 from .conftest import FLIGHTS
-from .flights import first_seconds, simulated
+from .flights import first_seconds, hover, simulated
 
 VECTORS = ("gyro", "acceleration", "body_velocity", "world_velocity", "position", "euler")
 
@@ -62,27 +59,20 @@ def turned(columns, a, b, angle):
 
 def without_attitude(log):
     """The columns of a log that has no attitude and no position."""
-    plain = {"t": log.time}
-    for quantity, values in (
-        ("rpm", log["actuators"]),
-        ("gyro", log["rates"]),
-        ("acceleration", log["specific_force"]),
-        ("body_velocity", log["body_velocity"]),
-    ):
-        plain |= dict(zip(PLAIN[quantity], values.T, strict=True))
+    plain, names = {"t": log.time}, ("rpm", "gyro", "acceleration", "body_velocity")
+    signals = ("actuators", "rates", "specific_force", "body_velocity")
+    for name, signal in zip(names, signals, strict=True):
+        plain |= dict(zip(PLAIN[name], log[signal].T, strict=True))
     return plain
 
 
 def unrelated(columns, form):
     """Every column of a vector of another time of the flight, backward."""
-    names = [
-        columns_of
-        for quantity, columns_of in FORMATS[form].columns.items()
-        if quantity in VECTORS and columns_of[0] in columns
-    ]
+    names = (FORMATS[form].columns.get(quantity, ()) for quantity in VECTORS)
     return {
         f"{name} of something else": {name: np.roll(columns[name][::-1], len(columns[name]) // 3)}
         for name in itertools.chain(*names)
+        if name in columns
     }
 
 
@@ -104,9 +94,12 @@ def accepted(columns, form, title, faults=faults):
     return missed
 
 
+RESIDUAL = (5, 0.7, (0.008, 0.008, 0.003))
+
+
 @pytest.fixture(scope="module")
 def flown():
-    return first_seconds(simulated(1, (5, 0.7, (0.008, 0.008, 0.003)), 1.0), 4.0)
+    return first_seconds(simulated(1, RESIDUAL, 1.0), 4.0)
 
 
 @pytest.mark.slow
@@ -147,52 +140,46 @@ def test_every_fault_of_a_real_flight_is_refused(path):
         assert repr(name.split()[0].strip("-")) in unchecked
 
 
-@pytest.mark.parametrize(
-    ("message", "wrong"),
-    [
-        (
-            "columns 'rate_p', 'rate_q' swapped",
-            lambda c: {"rate_p": c["rate_q"], "rate_q": c["rate_p"]},
-        ),
-        (
-            "columns 'rpm_obs_1', 'rpm_obs_3' swapped?",
-            lambda c: {f"rpm_obs_{i}": c[f"rpm_obs_{4 - i}"] for i in (1, 3)},
-        ),
-        ("column 'vel_z' 97 times too large .*logs.units", lambda c: {"vel_z": 100.0 * c["vel_z"]}),
-        ("column 'rate_q' 0.206 s late", lambda c: {"rate_q": delayed(c["rate_q"], 50)}),
-        (
-            "columns 'ekf_U1', 'ekf_U2' rotated by 45 deg",
-            lambda c: turned(c, "ekf_U1", "ekf_U2", np.radians(45.0)),
-        ),
-        (
-            "columns 'rpm_obs_1', .* 0.2 s late",
-            lambda c: {name: delayed(c[name], 50) for name in PAPARAZZI["rpm"]},
-        ),
-        (
-            "columns 'rpm_ref_1', .* are 1.5.? times the speeds 'rpm_obs_1', .*logs.units.rpm",
-            lambda c: {name: 1.5 * c[name] for name in PAPARAZZI["rpm_command"]},
-        ),
-        (
-            "column 'rpm_obs_3' is 1.53 times the other motors' speeds",
-            lambda c: {"rpm_obs_3": 1.5 * c["rpm_obs_3"]},
-        ),
-    ],
-)
-def test_the_line_names_the_columns_and_the_change(flown, message, wrong):
+def late(columns, *names):
+    return {name: delayed(columns[name], 50) for name in names}
+
+
+def times(columns, factor, *names):
+    return {name: factor * columns[name] for name in names}
+
+
+LINES = {  # what the line says: the changed columns
+    "columns 'rate_p', 'rate_q' swapped": lambda c: {"rate_p": c["rate_q"], "rate_q": c["rate_p"]},
+    "columns 'rpm_obs_1', 'rpm_obs_3' swapped": lambda c: {
+        f"rpm_obs_{i}": c[f"rpm_obs_{4 - i}"] for i in (1, 3)
+    },
+    "column 'vel_z' 97 times too large .*logs.units": lambda c: times(c, 100.0, "vel_z"),
+    "column 'rate_q' 0.206 s late": lambda c: late(c, "rate_q"),
+    "columns 'ekf_U1', 'ekf_U2' rotated by 45 deg": lambda c: turned(
+        c, "ekf_U1", "ekf_U2", np.radians(45.0)
+    ),
+    "columns 'rpm_obs_1', .* 0.2 s late": lambda c: late(c, *PAPARAZZI["rpm"]),
+    "columns 'rpm_ref_1', .* are 1.5.? times the speeds 'rpm_obs_1', .*logs.units.rpm": lambda c: (
+        times(c, 1.5, *PAPARAZZI["rpm_command"])
+    ),
+    "column 'rpm_obs_3' is 1.53 times the other motors' speeds": lambda c: times(
+        c, 1.5, "rpm_obs_3"
+    ),
+}
+
+
+@pytest.mark.parametrize("message", LINES)
+def test_the_line_names_the_columns_and_the_change(flown, message):
     with pytest.raises(InputError, match=message):
-        log_of_columns(flown | wrong(flown), LogsConfig(format="paparazzi"), "flight")
+        log_of_columns(flown | LINES[message](flown), LogsConfig(format="paparazzi"), "flight")
 
 
-def test_what_has_no_evidence_is_reported():
-    hover = first_seconds(simulated(1, noise=1.0, still=True), 4.0)
-    lines = log_of_columns(hover, LogsConfig(format="paparazzi"), "flight").source["unchecked"]
+def test_what_has_no_evidence_is_reported_and_noise_is_not_a_contradiction():
+    config = LogsConfig(format="paparazzi")
+    lines = log_of_columns(first_seconds(hover(), 4.0), config, "flight").source["unchecked"]
     assert "'rate_r'" in lines
     assert any("'rpm_obs_1'" in line for line in lines)
-
-
-def test_noise_is_not_a_contradiction():
-    noisy = first_seconds(simulated(3, noise=5.0), 4.0)
-    log_of_columns(noisy, LogsConfig(format="paparazzi"), "flight")
+    log_of_columns(first_seconds(simulated(3, RESIDUAL, 5.0), 4.0), config, "flight")
 
 
 @pytest.mark.slow

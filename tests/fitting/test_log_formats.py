@@ -5,7 +5,6 @@ import pytest
 import yaml
 
 from quadjax.config.loading import load_config
-from quadjax.core.errors import InputError
 from quadjax.fitting.axes import with_common
 from quadjax.fitting.config import FitConfig, LogsConfig
 from quadjax.fitting.fit import fit
@@ -17,7 +16,7 @@ from quadjax.vehicle.vehicle_file import read_vehicle, write_vehicle
 from tests.commands import run
 
 from . import racing_logs
-from .conftest import REPOSITORY
+from .conftest import REPOSITORY, refused
 
 ROTOR_ORDER = (1, 2, 3, 4)  # front-left, front-right, rear-right, rear-left: that of the logs
 
@@ -77,9 +76,8 @@ def test_a_log_is_the_flight_in_our_units_and_frames(form, variant, short, tmp_p
     log = read_log(_write(form, short, tmp_path, variant), LogsConfig(format=form))
     count = len(log.time)
     most = 60 if form == "ulog" else 10  # the last position is 0.1 s before the end
-    assert abs(count - len(short["time"])) < most and ("actuators" in log.signals) == (
-        form != "tii"
-    )
+    assert abs(count - len(short["time"])) < most
+    assert ("actuators" in log.signals) == (form != "tii")
     body = short["attitude"].inv().apply(short["velocity"])[:count]
     np.testing.assert_allclose(log["body_velocity"], body, atol=0.05)
     np.testing.assert_allclose(log["rates"], short["gyro"][:count], atol=0.02)
@@ -103,52 +101,47 @@ def test_constants_common_to_the_rotors_take_the_place_of_the_base_vehicle(short
         assert len(set(values)) == 1 and 0.6 < values[0] / mean < 1.4, name
 
 
-BAD = {
+def _times(columns, factor, *names):
+    return {name: factor * columns[name] for name in names}
+
+
+BAD = {  # changed columns, and a word of the line
     "a gap": (lambda c: {"time": c["time"] + 400_000 * (np.arange(len(c["time"])) > 99)}, "a gap"),
-    "gyro in rad/s": (
-        lambda c: {f"gyroADC[{i}]": c[f"gyroADC[{i}]"] / 57.3 for i in range(3)},
-        "times too large",
-    ),
     "a turned accelerometer": (
-        lambda c: {"accSmooth[0]": -c["accSmooth[0]"], "accSmooth[1]": -c["accSmooth[1]"]},
+        lambda c: _times(c, -1, "accSmooth[0]", "accSmooth[1]"),
         "columns 'accSmooth[0]', 'accSmooth[1]' negated",
     ),
     "rotors in rpm": (
-        lambda c: {f"omega[{i}]": c[f"omega[{i}]"] * 9.5493 for i in range(4)},
+        lambda c: _times(c, 9.5493, *(f"omega[{i}]" for i in range(4))),
         "'omega[3]'",
-    ),
-    "swapped motors": (
-        lambda c: {"omega[0]": c["omega[1]"], "omega[1]": c["omega[0]"]},
-        "swapped",
     ),
     "swapped commands": (
         lambda c: {"motor[0]": c["motor[1]"], "motor[1]": c["motor[0]"]},
         "motor[",
     ),
+    "no number": (lambda c: _poke(c, "omega[2]", "-"), "row 15, column"),
+    "nan": (lambda c: _poke(c, "omega[2]", "nan"), "row 15, column"),
+    "time backwards": (lambda c: _poke(c, "time", 0), "row 15, column"),
+    "beyond the motors' range": (
+        lambda c: {f"motor[{i}]": c[f"motor[{i}]"] + 1900 for i in range(4)},
+        "logs.motor_range",
+    ),
 }
+
+
+def _poke(columns, name, value):
+    """Three rows of settings and the header precede the first sample, in row 5."""
+    changed = columns[name].astype(object)
+    changed[10] = value
+    return {name: changed}
 
 
 @pytest.mark.parametrize("case", BAD)
 def test_bad_blackbox_columns_are_one_line(case, short, tmp_path):
     change, word = BAD[case]
     columns = racing_logs.blackbox_columns(short)
-    path = tmp_path / "bad.csv"
-    racing_logs.write_blackbox(path, columns | change(columns))
-    with pytest.raises(InputError) as caught:
-        read_log(path, LogsConfig(format="blackbox"))
-    message = str(caught.value)
-    assert "\n" not in message and str(path) in message and word in message
-
-
-def test_rows_are_counted_from_the_first_row_of_the_file(short, tmp_path):
-    """Three rows of settings and the header precede the first sample, in row 5."""
-    columns = racing_logs.blackbox_columns(short)
-    for name, value in (("omega[2]", "nan"), ("omega[2]", "-"), ("time", 0)):
-        changed = columns[name].astype(object)
-        changed[10] = value
-        racing_logs.write_blackbox(tmp_path / "bad.csv", columns | {name: changed})
-        with pytest.raises(InputError, match=r"bad\.csv: row 15, column"):
-            read_log(tmp_path / "bad.csv", LogsConfig(format="blackbox"))
+    racing_logs.write_blackbox(tmp_path / "bad.csv", columns | change(columns))
+    refused(tmp_path / "bad.csv", "blackbox", word)
 
 
 def test_settings_of_the_log_scale_its_columns(short, tmp_path):
@@ -174,24 +167,16 @@ def test_settings_and_matrices_that_cannot_be_used_are_one_line(short, tmp_path)
         ("blackbox_high_resolution", -1),
     ):
         racing_logs.write_blackbox(path, columns, {name: value})
-        with pytest.raises(InputError, match=rf"bad.csv: setting {name} is .*, allowed: "):
-            read_log(path, LogsConfig(format="blackbox"))
-    other = {f"motor[{i}]": columns[f"motor[{i}]"] + 1900 for i in range(4)}
-    racing_logs.write_blackbox(path, columns | other)
-    with pytest.raises(InputError, match="bad.csv: .*logs.motor_range"):
-        read_log(path, LogsConfig(format="blackbox"))
+        refused(path, "blackbox", f"setting {name} is ", "allowed: ")
     # With 512 counts of 1 g, 2048 would give a quarter of the force.
     racing_logs.write_blackbox(path, columns)
     path.write_text(path.read_text().replace("acc_1G,2048", "other,2048"))
-    with pytest.raises(InputError, match=r"bad.csv: .* no setting acc_1G, .*: acc_1G,2048"):
-        read_log(path, LogsConfig(format="blackbox"))
+    refused(path, "blackbox", "no setting acc_1G", "acc_1G,2048")
     columns = racing_logs.tii_columns(short)
     for name in (f"drone_rot[{i}]" for i in range(9)):
         columns[name] = np.where(np.arange(len(columns[name])) == 700, -1.0, 1.0) * columns[name]
     racing_logs.write_tii(path, columns)
-    match = r"row 702, column 'drone_rot.0.' and on: .* of -1, expected 1$"
-    with pytest.raises(InputError, match=match):
-        read_log(path, LogsConfig(format="tii"))
+    refused(path, "tii", "row 702, column 'drone_rot[0]' and on: ", "of -1, expected 1")
 
 
 def test_topics_of_a_ulog_file_are_checked(short, tmp_path):
@@ -200,29 +185,21 @@ def test_topics_of_a_ulog_file_are_checked(short, tmp_path):
     gyro, position = short["gyro"].copy(), topics["vehicle_local_position"][1]
     gyro[20, 1] = np.nan
     down = {"accelerometer_m_s2": short["force"] * [1, 1, -1]}
-    for topic, rate, fields, match in (
-        ("vehicle_angular_velocity", 500, {"xyz": gyro}, r"sample 20, column 'xyz.1.' is nan"),
-        ("vehicle_attitude", 10, topics["vehicle_attitude"][1], "sample .*: a gap of 0.1"),
-        ("vehicle_local_position", 7, position, "vehicle_local_position, .*: a gap"),
-        ("actuator_motors", 10, topics["actuator_motors"][1], r"motors, .*SDLOG_PROFILE=17"),
-        ("sensor_combined", 250, down, r"accelerometer_m_s2.2"),
-        ("vehicle_local_position", 10, position | {"vy": -position["vy"]}, "'v?y' negated"),
-        ("vehicle_local_position", 10, position | {"z": -position["z"]}, "'v?z' negated"),
+    for topic, changed, *words in (
+        ("vehicle_angular_velocity", (500, {"xyz": gyro}), "sample 20, column 'xyz[1]' is nan"),
+        ("vehicle_attitude", (10, topics["vehicle_attitude"][1]), "sample ", ": a gap of 0.1"),
+        ("vehicle_local_position", (7, position), "vehicle_local_position, ", ": a gap"),
+        ("actuator_motors", (10, topics["actuator_motors"][1]), "motors, ", "SDLOG_PROFILE=17"),
+        ("sensor_combined", (250, down), "accelerometer_m_s2[2]"),
+        ("vehicle_local_position", (10, position | {"z": -position["z"]}), "z' negated"),
+        ("vehicle_angular_velocity", None, "no topic vehicle_angular_velocity"),
+        ("sensor_combined", None, "column 'accelerometer_m_s2[0]' is missing"),
     ):
-        racing_logs.write_ulog(path, short, topics | {topic: (rate, fields)})
-        with pytest.raises(InputError, match=match) as caught:
-            read_log(path, LogsConfig(format="ulog"))
-        assert "\n" not in str(caught.value)
-    for missing, match in (
-        ("vehicle_angular_velocity", "no topic vehicle_angular_velocity"),
-        ("sensor_combined", "column 'accelerometer_m_s2.0.' is missing"),
-    ):
-        racing_logs.write_ulog(path, short, {k: v for k, v in topics.items() if k != missing})
-        with pytest.raises(InputError, match=match):
-            read_log(path, LogsConfig(format="ulog"))
+        present = {k: v for k, v in (topics | {topic: changed}).items() if v is not None}
+        racing_logs.write_ulog(path, short, present)
+        refused(path, "ulog", *words)
     path.write_bytes(path.read_bytes()[:-1000][16:])
-    with pytest.raises(InputError, match="not readable as a ULog file"):
-        read_log(path, LogsConfig(format="ulog"))
+    refused(path, "ulog", "not readable as a ULog file")
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,7 @@
+"""The command, and what a fit may do to flights that it has not seen."""
+
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +12,8 @@ from quadjax.fitting import fit as fits
 from quadjax.fitting.config import load_fit_config
 from quadjax.fitting.fit import fit
 from quadjax.fitting.flight_log import read_logs, write_log
+from quadjax.fitting.report import text_table
+from quadjax.fitting.samples import ALL
 from quadjax.vehicle.residual import read_residual
 from quadjax.vehicle.vehicle_file import read_vehicle
 from tests.commands import run
@@ -17,85 +22,155 @@ from .conftest import REPOSITORY
 from .flights import simulated, write_flights
 
 CONFIG = REPOSITORY / "configs/fit/paparazzi.yaml"
+MOMENTS = ("Mx", "My", "Mz")
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
+    """Four flights; of the last one the residual has the opposite sign."""
     folder = tmp_path_factory.mktemp("fit")
-    write_flights(folder, 3, residual=(5, 1.0, (0.008, 0.008, 0.003)))
+    for seed in range(4):
+        sign = -1.0 if seed == 3 else 1.0
+        residual = (5, sign, (0.008 * sign, 0.008 * sign, 0.003 * sign))
+        write_log(folder / f"flight_{seed}.csv", simulated(seed, residual))
     return folder
 
 
 @pytest.fixture(scope="module")
 def fitted(folder):
-    with claim(folder / "runs/all", "fit"):
+    """What the command fits, and the folder that it writes to."""
+    place, found = folder / "runs/all", []
+    with claim(place, "fit"):
         for name in ("report.txt", "held_out_old.png", "notes.txt"):
-            (folder / "runs/all" / name).write_text("earlier")
-    arguments = [
-        f"logs.files=[{folder}/*.csv]",
-        "residual={seeds: 2, epochs: 10}",
-    ]
-    place = ["--output", folder / "runs", "--name", "all", "--overwrite"]
-    assert run("fit", CONFIG, *arguments, *place) == 0
-    return folder / "runs/all"
+            (place / name).write_text("earlier")
+
+    def kept(*arguments):
+        found.append(fit(*arguments))
+        return found[0]
+
+    words = (f"logs.files=[{folder}/*.csv]", "residual={seeds: 2, epochs: 10}")
+    where = ("--output", folder / "runs", "--name", "all", "--overwrite")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fits, "fit", kept)
+        assert run("fit", CONFIG, *words, *where) == 0
+    return found[0], place
 
 
 @pytest.mark.slow
 def test_the_command_writes_report_vehicle_residual_and_figures(fitted):
-    text = (fitted / "report.txt").read_text()
+    result, place = fitted
+    text = (place / "report.txt").read_text()
     for word in ("model motor", "training (", "held out", "az", "Mz", "per fold"):
         assert word in text
-    report = json.loads((fitted / "report.json").read_text())
-    assert set(report["held_out"]) == {"flight_0", "flight_1", "flight_2"}
-    for evaluation in report["held_out"].values():
-        assert evaluation["az"]["change"] < -0.2
-    assert (fitted / "errors.png").stat().st_size > 1000
-    assert len(list(fitted.glob("held_out_*.png"))) == 3  # not those of the earlier fit
-    assert (fitted / "notes.txt").read_text() == "earlier"
-    read_residual(fitted / "residual.npz")
-    vehicle = read_vehicle(str(fitted / "vehicle.yaml"))
+    assert "increases no fold's error by more than 10%" in text
+    report = json.loads((place / "report.json").read_text())
+    assert list(report["held_out"]) == [f"flight_{i}" for i in range(4)]
+    for part in result.held_out:
+        change = report["held_out"][part.name]["az"]["change"]
+        assert change == pytest.approx(part.change[2], abs=1e-3)
+    assert (place / "errors.png").stat().st_size > 1000
+    assert len(list(place.glob("held_out_*.png"))) == 4  # not those of the earlier fit
+    assert (place / "notes.txt").read_text() == "earlier"
+    read_residual(place / "residual.npz")
+    vehicle = read_vehicle(str(place / "vehicle.yaml"))
     assert vehicle.motor.rpm_max == 11000.0 and abs(vehicle.motor.tau / 0.06 - 1.0) < 0.05
     assert vehicle.models["rate"] == read_vehicle("bebop1.yaml").models["rate"]
-    assert load_fit_config(fitted / "config.yaml").name == "all"
+    assert load_fit_config(place / "config.yaml").name == "all"
 
 
-def test_flights_are_held_out_of_the_nominal_model_without_networks_too(folder):
-    arguments = [f"logs.files=[{folder}/*.csv]", "residual.fit=false"]
-    result = fit(load_fit_config(CONFIG, arguments), folder)
-    assert [part.name for part in result.held_out] == ["flight_0", "flight_1", "flight_2"]
-    for part in result.held_out:
-        assert not part.change.any()
-        assert (part.rmse(part.nominal) > 0.0).all()
+@pytest.mark.slow
+def test_no_flight_is_harmed_by_the_residual_or_has_influence_on_its_own_prediction(fitted):
+    """What fits the other flights harms the last one, so the written residual is scaled down."""
+    result, _ = fitted
+    for choice in result.residuals[ALL].choices.values():
+        assert min(choice.gains) >= -0.1 - 1e-9
+    # The error of the unlike flight is reported as it is: the others do not show it.
+    held_out = {part.name: part.change for part in result.held_out}
+    assert (held_out["flight_3"][3:] > 0.2).all()
+    for axis in MOMENTS:
+        assert result.residuals[ALL].choices[axis].scale < 0.7
+        assert result.residuals[frozenset({3})].choices[axis].scale > 0.9
+
+
+def copied(folder, to, count):
+    """The folder ``to`` with the first flights."""
+    for name in (f"flight_{seed}.csv" for seed in range(count)):
+        (to / name).write_bytes((folder / name).read_bytes())
+    return to
+
+
+@pytest.mark.slow
+def test_a_test_flight_has_no_influence_on_the_fit(folder, tmp_path):
+    """Constants, residual and choices are those of a fit without the file."""
+    training = "residual={seeds: 1, epochs: 2, mirror: 'off'}"
+    tested, without = (
+        fit(load_fit_config(CONFIG, [f"logs.files=[{place}/*.csv]", training, *more]), place)
+        for place, more in (
+            (folder, ["split.test_flights=[flight_3]"]),
+            (copied(folder, tmp_path, 3), []),
+        )
+    )
+    assert [part.name for part in tested.held_out][3:] == ["flight_3"]
+    assert replace(tested.vehicle, path=without.vehicle.path) == without.vehicle
+    choices, others = (result.residuals[ALL].choices for result in (tested, without))
+    for axis, choice in choices.items():
+        np.testing.assert_allclose(choice.gains, others[axis].gains, rtol=1e-5, err_msg=axis)
 
 
 @pytest.mark.slow
 def test_the_choice_of_constants_for_a_held_out_flight_is_made_without_it(bebop, folder, tmp_path):
     """The third flight is of a drone with half the drag, which the fits to it and another show."""
-    for name in ("flight_0", "flight_1"):
-        (tmp_path / f"{name}.csv").write_bytes((folder / f"{name}.csv").read_bytes())
+    copied(folder, tmp_path, 2)
     write_log(tmp_path / "flight_2.csv", simulated(2, k_x=0.5))
     arguments = [f"logs.files=[{tmp_path}/*.csv]", "residual.fit=false"]
     result = fit(load_fit_config(CONFIG, arguments), folder)
+    assert [part.name for part in result.held_out] == ["flight_0", "flight_1", "flight_2"]
+    for part in result.held_out:  # of the nominal model, without networks
+        assert not part.change.any() and (part.rmse(part.nominal) > 0.0).all()
     assert "ax" in result.kept and result.vehicle.motor.k_x == bebop.k_x
     without = result.constants[frozenset({2})]
     assert without.k_x != bebop.k_x and without.k_x == pytest.approx(bebop.k_x, rel=0.05)
 
 
+RACING = ("vehicle=5inch.yaml", "body.inertia=null", "body.rpm_range=null")
+WITHOUT_EFFECT = (
+    ("split.test_fraction=0.4",),
+    ("nominal.axes=[az]", "nominal.fit=false"),
+    ("residual.seeds=2", "residual.fit=false"),
+    ("seed=1", "residual.fit=false"),
+    ("residual.max_harm=0.2", *RACING),
+    ("body.inertia=base", RACING[0], RACING[2]),
+    ("split.folds=3", *RACING, "split.by=time"),
+)
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    """The folder of two flights without a residual."""
+    return write_flights(tmp_path_factory.mktemp("two"), 2)[0].parent
+
+
+@pytest.mark.parametrize("words", WITHOUT_EFFECT, ids=lambda words: words[0])
+def test_keys_without_effect_are_refused(words, two):
+    key = words[0].partition("=")[0]
+    words = (f"logs.files=[{two}/*.csv]", *words[::-1])
+    with pytest.raises(InputError, match=rf"^{key} is .*, which has no effect: .*; allowed: "):
+        fit(load_fit_config(CONFIG, words), two)
+
+
 def test_missing_logs_of_the_simulated_drone_say_how_they_are_made(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run("fit", "standin") == 2
-    assert "no such file (logs.files); simulate them: quadjax logs standin --policy" in (
-        capsys.readouterr().err
-    )
+    assert "simulate them: quadjax logs standin --policy" in capsys.readouterr().err
 
 
-def test_progress_is_printed_without_a_terminal(folder, tmp_path, monkeypatch, capsys):
+def test_progress_is_printed_without_a_terminal(two, tmp_path, monkeypatch, capsys):
     def stop(config, folder, report):
         read_logs(config.logs.replace(files=config.logs.files[:1]), folder, report)
         raise InputError("stopped")
 
     monkeypatch.setattr(fits, "fit", stop)
-    logs = f"logs.files={folder}/flight_0.csv"
+    logs = f"logs.files={two}/flight_0.csv"
     assert run("fit", CONFIG, logs, "--output", tmp_path) == 2
     assert capsys.readouterr().err == "reading flight_0.csv\nerror: stopped\n"
 
@@ -105,15 +180,18 @@ def test_every_config_of_the_folder_is_sound():
         load_fit_config(path)
 
 
+def test_a_table_has_no_colors_where_the_environment_forces_them(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as a Jupyter kernel does
+    text = text_table("errors", ["axis", "RMSE"], [["az", "0.2"]])
+    assert text == "errors\naxis  RMSE\naz     0.2"
+
+
 @pytest.mark.slow
 def test_flights_left_out_are_not_harmed(plain_flights, tmp_path):
     """A shorter training than the default's."""
-    arguments = [
-        f"logs.files=[{plain_flights[0].parent}/*.csv]",
-        "residual={seeds: 2, epochs: 15}",
-    ]
-    config = load_fit_config(REPOSITORY / "configs/fit/racing_quad.yaml", arguments)
+    logs = f"logs.files=[{plain_flights[0].parent}/*.csv]"
+    words = [logs, "residual={seeds: 2, epochs: 15}"]
+    config = load_fit_config(REPOSITORY / "configs/fit/racing_quad.yaml", words)
     change = np.array([part.change[2:] for part in fit(config, tmp_path).held_out])
-    print(change)
     assert change[:, 0].mean() < -0.08
     assert change.max() < 0.05

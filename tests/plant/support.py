@@ -1,4 +1,4 @@
-"""Filter states to test with, and known motions."""
+"""Plants with some effects, filter states to test with, and known motions."""
 
 import dataclasses
 
@@ -11,11 +11,14 @@ from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import ekf, sensors
 from quadjax.plant.config import (
+    NO_EFFECTS,
     AccelerometerConfig,
     GyroConfig,
     MocapConfig,
+    PlantConfig,
     RpmConfig,
     SensorsConfig,
+    without_effects,
 )
 from quadjax.plant.ekf import EkfParams, InertialSample, MotionEstimate, ekf_params
 from quadjax.plant.sensors import GroundTruth
@@ -23,6 +26,14 @@ from tests.plant import reference
 from tests.plant.reference import Nominal
 
 RATE = 500.0
+OFF = without_effects(PlantConfig())
+
+
+def only(**strengths: float) -> PlantConfig:
+    """The stand-in plant with some effects."""
+    return OFF.replace(effects=NO_EFFECTS.replace(**strengths))
+
+
 # Only what makes signals late is left: low-pass filters and latency.
 ONLY_LATE = SensorsConfig(
     gyro=GyroConfig(noise=0.0, bias=0.0, bias_walk=0.0),
@@ -30,11 +41,10 @@ ONLY_LATE = SensorsConfig(
     rpm=RpmConfig(noise=0.0, resolution=0.0),
     mocap=MocapConfig(position_noise=0.0, attitude_noise=0.0, dropout=0.0),
 )
-NO_ERRORS = SensorsConfig(
-    gyro=GyroConfig(noise=0.0, bias=0.0, bias_walk=0.0, low_pass=0.0),
-    accelerometer=AccelerometerConfig(noise=0.0, bias=0.0, bias_walk=0.0, low_pass=0.0),
-    rpm=RpmConfig(noise=0.0, resolution=0.0),
-    mocap=MocapConfig(latency=0.0, position_noise=0.0, attitude_noise=0.0, dropout=0.0),
+NO_ERRORS = ONLY_LATE.replace(
+    gyro=ONLY_LATE.gyro.replace(low_pass=0.0),
+    accelerometer=ONLY_LATE.accelerometer.replace(low_pass=0.0),
+    mocap=ONLY_LATE.mocap.replace(latency=0.0),
 )
 
 

@@ -14,7 +14,7 @@ from quadjax.plant.plant import build_plant
 from quadjax.vehicle import battery
 from tests import reference as ref
 from tests.plant import effects_reference as source
-from tests.plant.standin import OFF, only
+from tests.plant.support import OFF, only
 
 
 def test_motors_answer_in_second_order():

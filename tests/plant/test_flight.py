@@ -1,5 +1,7 @@
 """Races on the stand-in plant: both policies, their observations, and their logs."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -74,22 +76,28 @@ def test_the_race_is_the_policys_own():
     policy = Policy.load(PRETRAINED / "indi.npz")
     race = race_config(config, policy)
     assert race.vehicle.model == "rate" and race.observation.disturbance == "ground_truth"
+    limits = load_config("indi", ["vehicle.constants.thrust_max=20"])
+    own = dataclasses.replace(policy, config=limits.model_dump(mode="json", by_alias=True))
+    assert race_config(config, own).vehicle.constants["thrust_max"] == 20.0
     widths = random_policy(observation={"disturbance": {"moment_x": 0.03}})
     assert not any(race_config(config, widths).disturbance.half_widths.values())
 
 
-def test_earlier_steps_of_another_length_are_refused():
+def with_history(plant):
+    """A race of a policy that observes its earlier steps."""
     config = load_config("e2e", [f"observation.history={HISTORY}", "network.hidden=[8]"])
-    policy, other = untrained_policy(config), EXACT.replace(control_rate=500.0)
-    plan = plan_race(config, other, policy, "own", lap_count=1, runs=2)
+    return plan_race(config, plant, untrained_policy(config), "own", lap_count=1, runs=2)
+
+
+def test_earlier_steps_of_another_length_are_refused():
+    plan = with_history(EXACT.replace(control_rate=500.0))
     with pytest.raises(InputError, match="of 0.01 s, .* steps are 0.002 s: add control_rate=100"):
         fly_plan(plan)
 
 
 @pytest.mark.slow  # compiles the plant
 def test_a_history_is_of_the_known_states_and_actions():
-    config = load_config("e2e", [f"observation.history={HISTORY}", "network.hidden=[8]"])
-    plan = plan_race(config, EXACT, untrained_policy(config), "own", lap_count=1, runs=2)
+    plan = with_history(EXACT)
     drones, kept = onboard_flight.begin(plan, jax.random.key(0)), []
     for key in jax.random.split(jax.random.key(1), 4):
         before, (drones, frame) = drones, onboard_flight.advance(plan, 1, drones, key)

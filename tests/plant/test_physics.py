@@ -16,7 +16,7 @@ from quadjax.vehicle.residual import read_residual, residual_force_moment
 from tests import reference as ref
 from tests.convert import command_of, rows_of, state_of, vec3
 from tests.plant import effects_reference as source
-from tests.plant.standin import OFF, only
+from tests.plant.support import OFF, only
 
 COUNT = 200
 

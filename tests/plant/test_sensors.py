@@ -61,23 +61,22 @@ def _moving(samples, drones):
     )
 
 
-def _draw(seed, scale=1.0):
-    random = np.random.default_rng(seed)
-    return scale * random.standard_normal((SAMPLES, sensors.DRAWS, DRONES), np.float32)
+def _measured(config, seed, scale=1.0):
+    """Truths, the first state, measurements and states of sensors with draws of some scale."""
+    truths, random = _moving(SAMPLES, DRONES), np.random.default_rng(seed)
+    drawn = scale * random.standard_normal((SAMPLES, sensors.DRAWS, DRONES), np.float32)
+    start, (measured, states) = _run(sensors.sensor_params(config, RATE), truths, drawn)
+    return truths, start, measured, states
 
 
 @pytest.fixture(scope="module")
 def noisy():
-    truths = _moving(SAMPLES, DRONES)
-    start, (measured, states) = _run(sensors.sensor_params(NOISY, RATE), truths, _draw(3))
-    return truths, start, measured, states
+    return _measured(NOISY, 3)
 
 
 @pytest.fixture(scope="module")
 def quiet():
-    truths = _moving(SAMPLES, DRONES)
-    start, (measured, states) = _run(sensors.sensor_params(NOISY, RATE), truths, _draw(0, 0.0))
-    return truths, start, measured, states
+    return _measured(NOISY, 0, 0.0)
 
 
 def test_bias_starts_as_drawn_and_walks_as_its_density_says(noisy):
@@ -162,8 +161,7 @@ def test_propeller_speeds_are_noisy_and_coarse(noisy, quiet):
 
 
 def test_with_every_error_off_sensors_tell_the_truth():
-    truths = _moving(SAMPLES, DRONES)
-    _, (measured, _) = _run(sensors.sensor_params(NO_ERRORS, RATE), truths, _draw(5))
+    truths, _, measured, _ = _measured(NO_ERRORS, 5)
     pairs = (
         (measured.gyro, truths.rates),
         (measured.accelerometer, truths.specific_force),
