@@ -14,7 +14,6 @@ from PIL import Image
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.yaml_files import parse_yaml, to_yaml
-from quadjax.race.laps import Laps
 from quadjax.sweeps.report import write_report
 from quadjax.sweeps.run import TrialStopped, objective, run_sweep, train_and_fly, work
 from quadjax.sweeps.study import (
@@ -29,6 +28,7 @@ from quadjax.sweeps.study import (
 )
 from quadjax.sweeps.sweep import load_sweep
 from tests.commands import run
+from tests.evaluation.support import flights
 from tests.sweeps.stand_in import CLIP, RATE, ROOT, TINY, complete, open_small, sweep_file, value_of
 
 EPOCHS, HIDDEN = "learner.num_epochs", "network.hidden"
@@ -169,11 +169,12 @@ def test_a_study_takes_only_its_own_sweep_and_damage_is_one_line(tmp_path):
         assert "\n" not in str(caught.value)
 
 
-def test_a_line_without_an_end_is_dropped(tmp_path):
+def test_a_line_without_an_end_is_dropped_by_a_sweep_and_left_by_a_report(tmp_path):
     sweep, directory, study = open_small(tmp_path)
     study.ask()
-    with open(directory / FILE, "ab") as stream:
-        stream.write(b'{"op_code": 6, "tri')
+    journal = directory / FILE
+    journal.write_bytes(before := journal.read_bytes() + b'{"op_code": 6, "tri')
+    assert len(load_study(sweep, directory).trials) == 1 and journal.read_bytes() == before
     drop_partial_line(directory)
     study = open_study(sweep, directory)
     study.ask()
@@ -190,13 +191,6 @@ def test_an_interrupted_trial_is_queued_again(tmp_path):
     first, second = study.trials
     assert (first.state, second.state) == (State.FAIL, State.WAITING)
     assert trials_over(study) == [] and number_of(second) == first.number
-
-
-def test_a_report_leaves_a_journal_with_a_cut_line_as_it_is(tmp_path):
-    sweep, directory, _ = open_small(tmp_path)
-    journal = directory / FILE
-    journal.write_bytes(before := journal.read_bytes() + b'{"op_code":8,"worker_i')
-    assert load_study(sweep, directory).trials == [] and journal.read_bytes() == before
 
 
 def test_an_interrupted_sweep_stops_each_worker_once(tmp_path):
@@ -241,8 +235,7 @@ def test_a_trial_is_evaluated_on_drawn_plants(tmp_path, monkeypatch):
 
     def fly(policy, race, *, plant, plants, runs, **_):
         flown.append((runs, plants, plant, race.vehicle.model))
-        times, ends = np.array([[5.0], [np.nan]] * 3), ("", "hit a gate") * 3
-        laps = Laps(times, ends, np.array([5.0, 1.0] * 3), 8.0)
+        laps = flights(*[5.0, np.nan] * 3, laps=1)
         return SimpleNamespace(laps=laps, finished=laps.finished)
 
     monkeypatch.setattr("quadjax.evaluation.evaluate.evaluate", fly)
@@ -255,12 +248,19 @@ def test_a_trial_is_evaluated_on_drawn_plants(tmp_path, monkeypatch):
 
 
 def test_a_lap_that_is_not_completed_counts_its_share_of_the_time_limit():
-    for times, limit, value in (
-        ([[2.0, 3.0]], 16.0, 5.0),
-        ([[2.0, 3.0], [2.0, np.nan]], 16.0, 7.5),
-        ([[np.nan, np.nan]], 40.0, 40.0),
-    ):
-        assert Laps(np.array(times), ("",), np.zeros(1), limit).penalized == value
+    assert flights(5.0).penalized == 5.0
+    assert flights(5.0, np.nan, before=1).penalized == (5.0 + 2.5 + 8.0) / 2
+    assert flights(np.nan).penalized == 16.0
+
+
+def ended(study, sweep, value=None, **attributes):
+    """Add a trial that was evaluated, or that failed if there is no value."""
+    trial = study.ask()
+    params = sweep.suggest(trial)
+    for name, item in attributes.items():
+        trial.set_user_attr(name, item)
+    state = None if value else State.FAIL
+    study.tell(trial, value(params) if value else None, state=state)
 
 
 def test_the_report_has_a_table_figures_and_the_best_config(tmp_path):
@@ -268,16 +268,13 @@ def test_the_report_has_a_table_figures_and_the_best_config(tmp_path):
     hidden = {HIDDEN: {"choices": [[8], [16, 16]]}}
     space = {CLIP: {"range": [0.1, 0.3]}, RATE: {"log": [1e-4, 1e-2]}} | hidden
     sweep, directory, study = open_small(tmp_path, space=space, budget={"trials": 30})
-    for index in range(30):
-        trial = study.ask()
-        params = sweep.suggest(trial)
-        attrs = {"finished": float(index != 3), "seconds": 1.5, "host": "here", "values": [1.0]}
-        for name, item in (attrs if index != 7 else {"error": "not enough memory"}).items():
-            trial.set_user_attr(name, item)
-        if index == 7:
-            study.tell(trial, state=State.FAIL)
-        else:
-            study.tell(trial, 48.0 if index == 3 else value_of(params))
+    numbers = {"finished": 1.0, "seconds": 1.5, "host": "here", "values": [1.0]}
+    ended(study, sweep, lambda _: 48.0, **numbers | {"finished": 0.0})
+    text = write_report(study, sweep, directory)
+    assert "No policy finished a flight" in text and not (directory / "best.yaml").exists()
+    ended(study, sweep, error="not enough memory")
+    for _ in range(28):
+        ended(study, sweep, value_of, **numbers)
     text = write_report(study, sweep, directory)
     with open(directory / "trials.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
@@ -294,35 +291,18 @@ def test_the_report_has_a_table_figures_and_the_best_config(tmp_path):
             assert image.size[0] > 600 and len(set(image.convert("L").tobytes())) > 20
 
 
-def test_a_report_without_a_finished_flight_has_no_best_config(tmp_path):
-    sweep, directory, study = open_small(tmp_path)
-    trial = study.ask()
-    sweep.suggest(trial)
-    for name, item in {"finished": 0.0, "seconds": 1.5, "host": "here", "values": [8.0]}.items():
-        trial.set_user_attr(name, item)
-    study.tell(trial, 8.0)
-    text = write_report(study, sweep, directory)
-    assert "No policy finished a flight" in text and not (directory / "best.yaml").exists()
-
-
 @pytest.mark.parametrize("method", ["tpe", "random", "grid"])
 def test_the_samplers_of_optuna(tmp_path, method):
-    """A grid visits each point once; a trial that was interrupted keeps its parameters."""
-    space = {CLIP: {"choices": [0.1, 0.2, 0.3]}, EPOCHS: {"range": [1, 2]}}
+    """A grid visits each point once; others begin with the base and resume with new points."""
+    clips = {"choices": [0.1, 0.2, 0.3]} if method == "grid" else {"range": [0.1, 0.3]}
+    space = {CLIP: clips, EPOCHS: {"range": [1, 2]}}
     search = {"method": method, "base_first": method != "grid"}
     sweep, directory, _ = open_small(tmp_path, space=space, search=search, budget={"trials": 6})
-    study = open_study(sweep, directory, slot=0)
-    study.optimize(lambda trial: sum(sweep.suggest(trial).values()), n_trials=6)
-    kind = {"tpe": "TPESampler", "random": "RandomSampler", "grid": "GridSampler"}[method]
-    assert isinstance(study.sampler, getattr(optuna.samplers, kind))
-    points = [tuple(trial.params.values()) for trial in study.trials]
-    assert len(points) == 6 and trials_left(study, sweep) == 0
-    assert points[0] == (0.2, 1) if method != "grid" else len(set(points)) == 6
-
-
-def test_a_resumed_random_search_draws_other_points(tmp_path):
-    sweep, directory, _ = open_small(tmp_path)
     for slot in (0, 1, 0):
         study = open_study(sweep, directory, slot)
         study.optimize(lambda trial: sum(sweep.suggest(trial).values()), n_trials=2)
-    assert len({tuple(trial.params.values()) for trial in study.trials}) == 6
+    kind = {"tpe": "TPESampler", "random": "RandomSampler", "grid": "GridSampler"}[method]
+    assert isinstance(study.sampler, getattr(optuna.samplers, kind))
+    points = [tuple(trial.params.values()) for trial in study.trials]
+    assert len(points) == 6 == len(set(points)) and trials_left(study, sweep) == 0
+    assert method == "grid" or points[0] == (0.2, 1)
