@@ -77,13 +77,17 @@ def find_file(name: str, folders: Sequence[Path], kind: str = "") -> Path:
 
 
 def find_policy(name: Path | str) -> Path:
-    """The path of a policy: a file, that of a run's folder, or a shipped one by its name."""
+    """The path of a policy: a file, that of a run's folder, or a shipped one by its name.
+
+    Raises:
+        InputError: a name that the file system cannot have.
+    """
     path = Path(name)
-    if is_run(path):
-        return path / POLICY_FILE
     shipped = PRETRAINED / path.with_suffix(".npz") if path.name else path
     bare = path.name == str(path) and path.suffix in ("", ".npz")
     with reading(name):
+        if is_run(path):
+            return path / POLICY_FILE
         hidden = path.is_dir() or not path.exists()
         return shipped if bare and hidden and shipped.is_file() else path
 
