@@ -16,10 +16,11 @@ from cyclopts import Parameter
 
 import quadjax
 from quadjax.cli import script
+from quadjax.cli.options import whole
+from quadjax.core.sections import MAX_RUNS
 from quadjax.race.types import Step
 
 CONFIG = Path(__file__).with_suffix(".yaml")
-POINT = (0.0, 0.0, -20.0)  # m, of the gate in hover.yaml
 SECONDS, NEAR, SLOW = 4.0, 0.3, 0.5  # s, m, m/s
 
 
@@ -34,7 +35,8 @@ def caught(policy: quadjax.Policy, config: quadjax.Config, throws: int) -> np.nd
         policy, config, seconds=SECONDS, start="random", runs=throws, deterministic=True
     )
     ends = [(flight["position"][-1], flight["velocity"][-1]) for flight in flown.flights]
-    far, fast = np.linalg.norm(np.array(ends) - [POINT, (0.0, 0.0, 0.0)], axis=2).T
+    point = config.track.gates[0].position
+    far, fast = np.linalg.norm(np.array(ends) - [point, (0.0, 0.0, 0.0)], axis=2).T
     alive = np.array([flight.time[-1] for flight in flown.flights]) > SECONDS - 0.1
     return alive & (far < NEAR) & (fast < SLOW)
 
@@ -42,7 +44,7 @@ def caught(policy: quadjax.Policy, config: quadjax.Config, throws: int) -> np.nd
 def hover(
     *overrides: str,
     seeds: Annotated[tuple[int, ...], Parameter(consume_multiple=True)] = (0,),
-    throws: int = 10_000,
+    throws: Annotated[int, Parameter(converter=whole(1, MAX_RUNS))] = 10_000,
     output: Path = Path("runs/hover"),
 ) -> None:
     """Train with each seed, and print training time and the share of throws caught."""

@@ -88,7 +88,7 @@ def race_scales(track: TrackSection, vehicle: Vehicle, time_step: float) -> Scal
         time_step: s.
 
     Raises:
-        InputError: a vehicle model that defines no thrust-to-weight ratio.
+        InputError: a vehicle model that defines no thrust-to-weight ratio, or a lap of one gate.
     """
     model = base_model(vehicle.model)
     thrust = model.thrust_to_weight(model.make_constants(vehicle.constants))
@@ -98,6 +98,9 @@ def race_scales(track: TrackSection, vehicle: Vehicle, time_step: float) -> Scal
     ratio = max(float(thrust), LEAST_RATIO)
     centers = np.array([gate.position for gate in track.gates], np.float64)
     lengths = np.linalg.norm(np.roll(centers, -1, axis=0) - centers, axis=1)
+    if track.closed and len(lengths) == 1:
+        allowed = "two gates or more, or numbers without units of the race"
+        refuse("track.gates", f"{len(lengths)} gate", allowed)
     legs = lengths if track.closed or len(lengths) == 1 else lengths[:-1]
     half_gate = 0.5 * min(size for gate in track.gates for size in gate.size)
     return Scales(

@@ -85,6 +85,13 @@ def test_a_printed_config_keeps_its_units(tmp_path):
     assert f"5 leg times: {config.schedules['learner.discount'].linear[1]:g}" in text
 
 
+def test_a_lap_of_one_gate_has_no_units():
+    gate = "track.gates=[{position: [0, 0, -2]}]"
+    with pytest.raises(InputError, match="track.gates is '1 gate', allowed: two gates or more"):
+        load_config("e2e_race", [gate])
+    assert len(load_config("e2e", [gate]).track.gates) == 1
+
+
 def test_a_model_without_thrust_to_weight_has_no_units():
     with pytest.raises(InputError, match="a model that has thrust_to_weight"):
         load_config("e2e +fastest", [NO_RATIO, "reward.progress=10 per leg"])
