@@ -15,7 +15,7 @@ from quadjax.core.yaml_files import to_yaml
 from quadjax.evaluation.conditions import Conditions
 from quadjax.evaluation.evaluate import Evaluation, evaluate
 from quadjax.evaluation.plants import MOTOR_COMMAND, RECORDED
-from quadjax.evaluation.report import fastest_responses, write_report
+from quadjax.evaluation.report import Report
 from quadjax.evaluation.rows import Row, common, interval
 from quadjax.evaluation.table import Table, interval_text, lap_table
 from quadjax.plant.config import PlantConfig
@@ -26,7 +26,7 @@ PARTS = ("table", "plants")
 FILES = ("table.txt", "compare.json", "config.yaml", "report/*")
 KINDS = {"E2E": "motor", "INDI": "rate"}  # vehicle model of each contender's policy
 WORLDS = SIMULATED, ON_PLANT = "simulated", "stand-in plant"
-Report = Callable[[str], object]
+Progress = Callable[[str], object]
 
 
 def check_policies(files: Mapping[str, Path]) -> None:
@@ -45,7 +45,7 @@ def compare(
     protocol: Mapping[str, Any],
     conditions: Conditions,
     folder: Path,
-    report: Report,
+    report: Progress,
     parts: Sequence[str] = PARTS,
     plants: int = 10,
 ) -> str:
@@ -86,14 +86,15 @@ def compare(
             label: [f.replace(name=str(run)) for run, f in enumerate(result.flights[:RECORDED], 1)]
             for label, result in flown.items()
         }
-        write_report(groups, race, folder / "report")
+        drawn = Report(groups, race)
+        drawn.write(folder / "report")
         result["rms error to the first-order response"] = {
             label: [
                 round(float(x), 4)
                 for x, unit in zip(signals.rms, signals.units, strict=True)
                 if unit == signals.units[0]  # of the rotors, or of the body rates
             ]
-            for label, (_, signals) in fastest_responses(groups, race).items()
+            for label, (_, signals) in drawn.responses().items()
         }
     if "plants" in parts:
         options = dict(protocol) | {"plant": plant, "plants": plants, "progress": report}
@@ -115,7 +116,7 @@ def fly_worlds(
     race: Config,
     plant: PlantConfig,
     protocol: Mapping[str, Any],
-    report: Report,
+    report: Progress,
 ) -> dict[str, Evaluation]:
     """Flights of the policies in the simulator and on the plant, by "POLICY WORLD"."""
     flown = {}

@@ -252,12 +252,12 @@ def _report(
     """Tables and figures of recorded flights."""
     from quadjax.config.loading import load_config
     from quadjax.evaluation.report import FILES as REPORT_FILES
-    from quadjax.evaluation.report import write_report
+    from quadjax.evaluation.report import Report
     from quadjax.sources import load_groups
 
     race = load_config(config, overrides)
     groups = load_groups(flights, race.track, logs.columns() if logs.logs else None)
     with results(folder, "report", REPORT_FILES, overwrite) as new:
-        text = write_report(groups, race, new)
+        text = Report(groups, race).write(new)
     print(text)
     wrote(f"{folder}/")

@@ -29,176 +29,6 @@ STYLES = ("-", "--", "-.", ":")
 MODELS = {"rpm": "motor", "rad/s": "rate"}  # vehicle model by the unit of the commands
 
 
-def write_report(groups: Groups, config: Config, folder: Path) -> str:
-    """Write tables and figures of groups of flights; returns the table as text.
-
-    ``table.txt``, ``table.tex``, ``report.json``, and as PDF, SVG and PNG ``boxes``, ``gaps``,
-    ``trajectories``, and ``errors_N`` of each group's fastest flight.
-
-    Args:
-        groups: flights by the label of their group.
-        config: the race, of which the track and the constants of the vehicle are used.
-        folder: to write to.
-
-    Raises:
-        InputError: no lap in any flight, or a file that cannot be written.
-    """
-    if not any(len(f.lap_times) for flights in groups.values() for f in flights):
-        raise InputError("no flight completes a lap, so there is nothing to report")
-    table = flights_table(groups)
-    write_text(folder / "table.txt", table.format("text") + "\n")
-    write_text(folder / "table.tex", table.format("latex") + "\n")
-    record = {label: [_numbers(flight) for flight in flights] for label, flights in groups.items()}
-    write_json(folder / "report.json", {"groups": record, "provenance": provenance(config)})
-    for name, figure in report_figures(groups, config):
-        for suffix in FORMATS:
-            save_figure(figure, folder / f"{name}.{suffix}")
-    return table.format("text")
-
-
-def _numbers(flight: Flight) -> dict[str, object]:
-    """Times of laps and gates, s, and the crash of a flight."""
-    times = {"laps": flight.lap_times, "gates": flight.passages[:, 0]}
-    rounded = {key: np.round(values, 4).tolist() for key, values in times.items()}
-    return {"name": flight.name, **rounded, "crash": flight.crash or ""}
-
-
-@dataclasses.dataclass(frozen=True)
-class Report:
-    """Groups of flights next to each other: the tables and figures of a paper.
-
-    Attributes:
-        groups: flights by the label of their group, as ``evaluate(..).flights`` returns them.
-        config: the race, of which the track and the constants of the vehicle are used.
-    """
-
-    groups: Groups
-    config: Config
-
-    def table(self, format: Format = "text") -> str:
-        """Laps and total of each flight; the fastest of its group is highlighted."""
-        return flights_table(self.groups).format(format)
-
-    def boxes(self) -> Figure:
-        """Box plots of lap 1, of the later laps and of the total."""
-        return box_figure(self.groups)
-
-    def gaps(self) -> Figure:
-        """Time behind the first flight at each gate, all flights."""
-        return gap_figure(self.groups, len(self.config.track.gates))
-
-    def trajectories(self) -> Figure:
-        """From above and from the side, groups next to each other, colored by speed."""
-        return trajectory_figure(self.groups, self.config.track.gates)
-
-    def errors(self, label: str) -> Figure:
-        """Commands, limits and errors of the fastest flight of a group over time.
-
-        The signals are propeller speeds, or body rates and thrust. The error is the difference from
-        the first-order response to the commands, with the constants of the config's vehicle.
-
-        Raises:
-            InputError: no such group, or the vehicle has no model of the commands of its fastest
-                flight.
-        """
-        if label not in self.groups:
-            raise InputError(f"{label}: no group of flights, allowed: {', '.join(self.groups)}")
-        fastest = fastest_responses({label: self.groups[label]}, self.config)
-        if not fastest:
-            raise InputError(f"{label}: the vehicle has no model of its commands")
-        best, signals = fastest[label]
-        gates = len(self.config.track.gates)
-        return error_figure(best, signals, gates, f"{label}, {best.name}")
-
-
-def report_figures(groups: Groups, config: Config) -> Iterator[tuple[str, Figure]]:
-    """Every figure of a report, by name."""
-    report, labels = Report(groups, config), list(groups)
-    yield "boxes", report.boxes()
-    yield "gaps", report.gaps()
-    yield "trajectories", report.trajectories()
-    gates = len(config.track.gates)
-    for label, (best, signals) in fastest_responses(groups, config).items():
-        figure = error_figure(best, signals, gates, f"{label}, {best.name}")
-        yield f"errors_{labels.index(label) + 1}", figure
-
-
-def box_figure(groups: Groups) -> Figure:
-    """Box plots of lap 1, of the laps after it and of the total, a box for each group.
-
-    Boxes from the first to the third quartile with the median, whiskers to the last flight within
-    1.5 times their range, and a dot for each flight. Flights that did not finish count in the laps
-    that they completed.
-    """
-    colors, names = colors_of(groups), list(groups)
-    count = max(len(f.lap_times) for flights in groups.values() for f in flights)
-    later = f"laps 2 to {count} (s)" if count > 2 else "lap 2 (s)"
-    columns: dict[str, list[Sequence[float]]] = {
-        "lap 1 (s)": [[t for f in v for t in f.lap_times[:1]] for v in groups.values()],
-        later: [[t for f in v for t in f.lap_times[1:]] for v in groups.values()],
-        f"total of {counted(count, 'lap')} (s)": [
-            [f.total for f in v if len(f.lap_times) == count and np.isfinite(f.total)]
-            for v in groups.values()
-        ],
-    }
-    figure = new_figure(9.6, 1.1 + 0.5 * len(groups))
-    panels = figure.subplots(1, 3, sharey=True)
-    for axes, (label, times) in zip(panels, columns.items(), strict=True):
-        tidy(axes)
-        axes.grid(False, axis="y")
-        style: dict[str, Any] = {"widths": 0.5, "showfliers": False, "patch_artist": True}
-        style |= {"orientation": "horizontal", "manage_ticks": False}
-        boxes = axes.boxplot(times, **style)
-        for index, (name, values) in enumerate(zip(names, times, strict=True)):
-            boxes["boxes"][index].set(facecolor=PAPER, edgecolor=colors[name])
-            boxes["medians"][index].set(color=colors[name], lw=2.2)
-            jitter = 0.12 * np.sin(2.4 * np.arange(len(values)))  # equal times do not cover
-            axes.plot(values, index + 1 + jitter, "o", ms=3, color=colors[name], alpha=0.6)
-        axes.set_xlabel(label, color=INK)
-        axes.margins(x=0.08)
-    panels[0].set_yticks(range(1, len(groups) + 1), names)
-    panels[0].set_ylim(len(groups) + 0.6, 0.4)
-    return figure
-
-
-def gap_figure(groups: Groups, gates: int) -> Figure:
-    """Time behind the flight that is first at each gate, of all flights.
-
-    The first is that of the flights that pass the most gates: one that crashed may have been ahead.
-
-    Args:
-        groups: of flights.
-        gates: of the track.
-    """
-    colors = colors_of(groups)
-    figure = new_figure(9.6, 4.2)
-    axes = figure.add_subplot()
-    tidy(axes)
-    every = [flight.passages[:, 0] for flights in groups.values() for flight in flights]
-    count = max(map(len, every))
-    leader = np.min([times for times in every if len(times) == count], axis=0)
-    for index, (group, flights) in enumerate(groups.items()):
-        few = len(flights) <= MANY
-        style: dict[str, Any] = {"color": colors[group], "lw": 1.8 if few else 0.8}
-        style |= {"alpha": 1.0 if few else 0.5}
-        line = STYLES[index % len(STYLES)] if len(flights) == 1 else "-"
-        for number, flight in enumerate(flights):
-            behind = flight.passages[:, 0] - leader[: len(flight.passages)]
-            label = f"{group} ({counted(len(flights), 'flight')})" if number == 0 else None
-            axes.plot(np.arange(len(behind)) + 1, behind, line, label=label, **style)
-            if flight.crash and len(behind):
-                axes.plot(len(behind), behind[-1], "x", color=colors[group], ms=8, mew=2)
-    for lap in range(gates, count + 1, gates):
-        axes.axvline(lap, color=MUTED, lw=0.9, ls="--", zorder=0)
-    axes.set_xlim(1, count + 0.15)
-    ahead = any(np.any(times < leader[: len(times)]) for times in every)
-    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]) if ahead else 0.0)
-    axes.set_xlabel("gate; dashed: the end of a lap", color=INK)
-    axes.set_ylabel("behind the first at each gate (s)", color=INK)
-    figure.legend(loc="outside upper left", ncols=4, frameon=False, labelcolor=INK, fontsize=9)
-    return figure
-
-
 @dataclasses.dataclass(frozen=True)
 class Response:
     """A flight's commanded signals, their limits and the model's response to the commands."""
@@ -257,11 +87,155 @@ def response(flight: Flight, vehicle: Vehicle) -> Response | None:
     return Response(actual, command, model, low, high, names, units)
 
 
-def fastest_responses(groups: Groups, config: Config) -> dict[str, tuple[Flight, Response]]:
-    """The fastest flight of each group with its ``response``, by label, where there is one."""
-    best = {label: fastest(flights) for label, flights in groups.items()}
-    signals = {label: response(flight, config.vehicle) for label, flight in best.items()}
-    return {label: (best[label], signal) for label, signal in signals.items() if signal is not None}
+@dataclasses.dataclass(frozen=True)
+class Report:
+    """Groups of flights next to each other: the tables and figures of a paper.
+
+    Attributes:
+        groups: flights by the label of their group, as ``evaluate(..).flights`` returns them.
+        config: the race, of which the track and the constants of the vehicle are used.
+    """
+
+    groups: Groups
+    config: Config
+
+    def table(self, format: Format = "text") -> str:
+        """Laps and total of each flight; the fastest of its group is highlighted."""
+        return flights_table(self.groups).format(format)
+
+    def boxes(self) -> Figure:
+        """Box plots of lap 1, of the laps after it and of the total, a box for each group.
+
+        Boxes from the first to the third quartile with the median, whiskers to the last flight
+        within 1.5 times their range, and a dot for each flight. Flights that did not finish count
+        in the laps that they completed.
+        """
+        colors, names = colors_of(self.groups), list(self.groups)
+        count = max(len(f.lap_times) for flights in self.groups.values() for f in flights)
+        later = f"laps 2 to {count} (s)" if count > 2 else "lap 2 (s)"
+        columns: dict[str, list[Sequence[float]]] = {
+            "lap 1 (s)": [[t for f in v for t in f.lap_times[:1]] for v in self.groups.values()],
+            later: [[t for f in v for t in f.lap_times[1:]] for v in self.groups.values()],
+            f"total of {counted(count, 'lap')} (s)": [
+                [f.total for f in v if len(f.lap_times) == count and np.isfinite(f.total)]
+                for v in self.groups.values()
+            ],
+        }
+        figure = new_figure(9.6, 1.1 + 0.5 * len(self.groups))
+        panels = figure.subplots(1, 3, sharey=True)
+        for axes, (label, times) in zip(panels, columns.items(), strict=True):
+            tidy(axes)
+            axes.grid(False, axis="y")
+            style: dict[str, Any] = {"widths": 0.5, "showfliers": False, "patch_artist": True}
+            style |= {"orientation": "horizontal", "manage_ticks": False}
+            boxes = axes.boxplot(times, **style)
+            for index, (name, values) in enumerate(zip(names, times, strict=True)):
+                boxes["boxes"][index].set(facecolor=PAPER, edgecolor=colors[name])
+                boxes["medians"][index].set(color=colors[name], lw=2.2)
+                jitter = 0.12 * np.sin(2.4 * np.arange(len(values)))  # equal times do not cover
+                axes.plot(values, index + 1 + jitter, "o", ms=3, color=colors[name], alpha=0.6)
+            axes.set_xlabel(label, color=INK)
+            axes.margins(x=0.08)
+        panels[0].set_yticks(range(1, len(self.groups) + 1), names)
+        panels[0].set_ylim(len(self.groups) + 0.6, 0.4)
+        return figure
+
+    def gaps(self) -> Figure:
+        """Time behind the flight that is first at each gate, of all flights.
+
+        The first is that of the flights that pass the most gates: one that crashed may have been
+        ahead.
+        """
+        colors, gates = colors_of(self.groups), len(self.config.track.gates)
+        figure = new_figure(9.6, 4.2)
+        axes = figure.add_subplot()
+        tidy(axes)
+        every = [flight.passages[:, 0] for flights in self.groups.values() for flight in flights]
+        count = max(map(len, every))
+        leader = np.min([times for times in every if len(times) == count], axis=0)
+        for index, (group, flights) in enumerate(self.groups.items()):
+            few = len(flights) <= MANY
+            style: dict[str, Any] = {"color": colors[group], "lw": 1.8 if few else 0.8}
+            style |= {"alpha": 1.0 if few else 0.5}
+            line = STYLES[index % len(STYLES)] if len(flights) == 1 else "-"
+            for number, flight in enumerate(flights):
+                behind = flight.passages[:, 0] - leader[: len(flight.passages)]
+                label = f"{group} ({counted(len(flights), 'flight')})" if number == 0 else None
+                axes.plot(np.arange(len(behind)) + 1, behind, line, label=label, **style)
+                if flight.crash and len(behind):
+                    axes.plot(len(behind), behind[-1], "x", color=colors[group], ms=8, mew=2)
+        for lap in range(gates, count + 1, gates):
+            axes.axvline(lap, color=MUTED, lw=0.9, ls="--", zorder=0)
+        axes.set_xlim(1, count + 0.15)
+        ahead = any(np.any(times < leader[: len(times)]) for times in every)
+        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]) if ahead else 0.0)
+        axes.set_xlabel("gate; dashed: the end of a lap", color=INK)
+        axes.set_ylabel("behind the first at each gate (s)", color=INK)
+        figure.legend(loc="outside upper left", ncols=4, frameon=False, labelcolor=INK, fontsize=9)
+        return figure
+
+    def trajectories(self) -> Figure:
+        """From above and from the side, groups next to each other, colored by speed."""
+        return trajectory_figure(self.groups, self.config.track.gates)
+
+    def responses(self) -> dict[str, tuple[Flight, Response]]:
+        """The fastest flight of each group with its ``response``, by label, where there is one."""
+        best = {label: fastest(flights) for label, flights in self.groups.items()}
+        signals = {label: response(flight, self.config.vehicle) for label, flight in best.items()}
+        return {label: (best[label], x) for label, x in signals.items() if x is not None}
+
+    def errors(self, label: str) -> Figure:
+        """Commands, limits and errors of the fastest flight of a group over time.
+
+        The signals are propeller speeds, or body rates and thrust. The error is the difference from
+        the first-order response to the commands, with the constants of the config's vehicle.
+
+        Raises:
+            InputError: no such group, or the vehicle has no model of the commands of its fastest
+                flight.
+        """
+        if label not in self.groups:
+            raise InputError(f"{label}: no group of flights, allowed: {', '.join(self.groups)}")
+        responses = self.responses()
+        if label not in responses:
+            raise InputError(f"{label}: the vehicle has no model of its commands")
+        best, signals = responses[label]
+        return error_figure(best, signals, len(self.config.track.gates), f"{label}, {best.name}")
+
+    def figures(self) -> Iterator[tuple[str, Figure]]:
+        """Every figure by name: ``boxes``, ``gaps``, ``trajectories``, ``errors_N`` of group N."""
+        yield "boxes", self.boxes()
+        yield "gaps", self.gaps()
+        yield "trajectories", self.trajectories()
+        for label in self.responses():
+            yield f"errors_{list(self.groups).index(label) + 1}", self.errors(label)
+
+    def write(self, folder: Path) -> str:
+        """Write tables and figures; returns the table as text.
+
+        ``table.txt``, ``table.tex``, ``report.json``, and ``figures`` as PDF, SVG and PNG.
+
+        Raises:
+            InputError: no lap in any flight, or a file that cannot be written.
+        """
+        if not any(len(f.lap_times) for flights in self.groups.values() for f in flights):
+            raise InputError("no flight completes a lap, so there is nothing to report")
+        write_text(folder / "table.txt", self.table("text") + "\n")
+        write_text(folder / "table.tex", self.table("latex") + "\n")
+        record = {label: [*map(_numbers, flights)] for label, flights in self.groups.items()}
+        content = {"groups": record, "provenance": provenance(self.config)}
+        write_json(folder / "report.json", content)
+        for name, figure in self.figures():
+            for suffix in FORMATS:
+                save_figure(figure, folder / f"{name}.{suffix}")
+        return self.table("text")
+
+
+def _numbers(flight: Flight) -> dict[str, object]:
+    """Times of laps and gates, s, and the crash of a flight."""
+    times = {"laps": flight.lap_times, "gates": flight.passages[:, 0]}
+    rounded = {key: np.round(values, 4).tolist() for key, values in times.items()}
+    return {"name": flight.name, **rounded, "crash": flight.crash or ""}
 
 
 def error_figure(flight: Flight, signals: Response, gates: int, title: str = "") -> Figure:

@@ -9,7 +9,7 @@ from PIL import Image
 from quadjax.config.loading import load_config
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.figures import trajectory_figure
-from quadjax.evaluation.report import box_figure, gap_figure, report_figures, response
+from quadjax.evaluation.report import Report, response
 from quadjax.evaluation.table import flights_table
 from quadjax.fitting.signals import first_order
 from quadjax.flights import save
@@ -58,7 +58,7 @@ def test_the_table_has_every_flight_the_fastest_in_bold(groups, monkeypatch):
 
 
 def test_gaps_are_behind_the_first_of_the_flights_that_finish(groups):
-    axes = gap_figure(groups, 4).axes[0]
+    axes = Report(groups, RACE).gaps().axes[0]
     drawn = [line for line in axes.lines if len(line.get_xdata()) > 2]
     assert len(drawn) == 5
     fastest, slower = drawn[1].get_ydata(), drawn[0].get_ydata()
@@ -77,7 +77,7 @@ def test_trajectories_share_axes_and_one_color_scale(groups):
 
 
 def test_boxes_have_units_and_every_flight(groups):
-    panels = box_figure(groups).axes
+    panels = Report(groups, RACE).boxes().axes
     labels = [axes.get_xlabel() for axes in panels]
     assert labels == ["lap 1 (s)", "lap 2 (s)", "total of 2 laps (s)"]
     dots = [[len(line.get_xdata()) for line in a.lines if line.get_marker() == "o"] for a in panels]
@@ -101,7 +101,7 @@ def test_errors_are_to_the_first_order_response_of_the_commands(groups):
     lifted = first_order(limited, thrust[0], constants["tau_thrust"], STEP)
     np.testing.assert_allclose(signals.error[:, 3:], thrust - lifted, atol=1e-6)
     assert tuple(signals.units) == ("rad/s",) * 3 + ("m/s^2",) and signals.names[3] == "thrust"
-    names = dict(report_figures(groups, RACE))
+    names = dict(Report(groups, RACE).figures())
     assert {"errors_1", "errors_2"} <= set(names)
     ticks = [line for line in names["errors_1"].axes[1].lines if len(line.get_xdata()) == 2]
     assert len(ticks) >= 8
