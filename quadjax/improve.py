@@ -25,8 +25,9 @@ from quadjax.fitting.report import PATTERNS as FIT_FILES
 from quadjax.flights.files import save
 from quadjax.flights.flight import Flight
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.flights import plan_race
+from quadjax.plant.flights import plan_logs
 from quadjax.policy.file import Policy
+from quadjax.race.laps import Laps
 from quadjax.race.rules import HIT_A_GATE
 from quadjax.refit import Model, changes, check_speeds, margin_of, refit, states_of_logs
 from quadjax.training.build import initial_policy
@@ -264,18 +265,14 @@ def fly_and_log(
 ) -> Flown:
     """Fly a policy's mean action on the plant and write the logs ``folder/NAME_RUN.csv``."""
     assert setting.plant is not None
-    race, network = state.model.race(setting.race), Policy.load(state.policy)
-    plant = setting.plant.replace(control_rate=setting.plant.sample_rate)
-    runs, laps = setting.flights, setting.laps
-    options = (race, plant, network, str(state.policy))
-    plan = plan_race(*options, lap_count=laps, runs=runs, recorded=runs)
-    written = write_logs({name: plan}, folder, seed, report)
-    return _results(*zip(*((log.seconds, log.total, log.crash) for log in written), strict=True))
+    race = state.model.race(setting.race)
+    plan = plan_logs(race, setting.plant, state.policy, setting.flights, setting.laps)
+    return _results(write_logs(plan, name, folder, seed, report)[1])
 
 
 def fly_checks(setting: Setting, policy: Path) -> Flown:
     """Results of ``setting.check`` flights of a policy, without logs."""
-    laps = evaluate(
+    flights = evaluate(
         Policy.load(policy),
         setting.race,
         plant=setting.plant,
@@ -284,13 +281,13 @@ def fly_checks(setting: Setting, policy: Path) -> Flown:
         seed=CHECK_SEED + setting.seed,
         deterministic=True,
         name=str(policy),
-    ).laps
-    return _results(laps.seconds.tolist(), laps.totals.tolist(), laps.crashes)
+    )
+    return _results(flights.laps)
 
 
-def _results(seconds: Sequence[float], totals: Sequence[float], crashes: Sequence[str]) -> Flown:
-    whole = [float(total) if np.isfinite(total) else None for total in totals]
-    return {"seconds": list(map(float, seconds)), "totals": whole, "crashes": list(crashes)}
+def _results(laps: Laps) -> Flown:
+    totals = [total if np.isfinite(total) else None for total in laps.totals.tolist()]
+    return {"seconds": laps.seconds.tolist(), "totals": totals, "crashes": list(laps.crashes)}
 
 
 def _refitted(

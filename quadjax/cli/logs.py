@@ -6,6 +6,7 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
+from quadjax.core.errors import InputError
 from quadjax.core.folders import results
 from quadjax.core.interruptions import loading
 
@@ -43,10 +44,17 @@ def logs(
         from quadjax.plant.config import load_plant_config
         from quadjax.plant.flights import plan_logs
 
-    drone = load_plant_config(plant, overrides)
-    plans = plan_logs(load_config(race), drone, [str(file) for file in policy], flights, laps)
-    files = [f"{name}_*.csv" for name in plans]
-    with results(output, "logs", files, overwrite) as new, steps() as report:
-        written = write_logs(plans, new, seed, report)
-    for log in written:
-        wrote(f"{output / log.path.name}, {log.rows} rows {log.crash}".rstrip())
+    drone, config = load_plant_config(plant, overrides), load_config(race)
+    names = [file.stem for file in policy]
+    if len(set(names)) < len(names):
+        listed = ", ".join(map(str, policy))
+        raise InputError(f"two of the policies have the same name: {listed}")
+    plans = {file.stem: plan_logs(config, drone, file, flights, laps) for file in policy}
+    with (
+        results(output, "logs", [f"{x}_*.csv" for x in names], overwrite) as new,
+        steps() as report,
+    ):
+        written = [write_logs(plan, name, new, seed, report) for name, plan in plans.items()]
+    for rows, ended in written:
+        for (path, count), crash in zip(rows.items(), ended.crashes, strict=True):
+            wrote(f"{output / path.name}, {count} rows {crash}".rstrip())

@@ -1,7 +1,6 @@
 """Flights of a policy on the stand-in plant and on several that are drawn, and their logs."""
 
-import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -85,53 +84,41 @@ def drawn(plant: PlantConfig, count: int) -> Iterator[PlantConfig]:
         yield plant.replace(constants=plant.constants.replace(seed=seed))
 
 
-@dataclasses.dataclass(frozen=True)
-class WrittenLog:
-    """A log that was written."""
-
-    path: Path
-    rows: int
-    crash: str  # reason of an early end, "" for none
-    seconds: float  # of flight
-    total: float  # s of all laps; NaN if it did not finish
-
-
 def write_logs(
-    plans: Mapping[str, Plan],
+    plan: Plan,
+    name: str,
     folder: Path,
     seed: int = 0,
     report: Callable[[str], None] = lambda line: None,
-) -> list[WrittenLog]:
-    """Simulate flights on the plant and write each flight's log to ``folder/NAME_RUN.csv``.
+) -> tuple[dict[Path, int], Laps]:
+    """Simulate flights on the plant and write the log of each to ``folder/NAME_RUN.csv``.
 
     Args:
-        plans: flights by name, with a control step at every sample and all runs recorded.
+        plan: the flights; see ``plan_logs``.
+        name: of the logs.
         folder: of the logs.
-        seed: of batteries, gusts, sensors and the policies' noise.
+        seed: of batteries, gusts, sensors and the policy's noise.
         report: called with the progress.
 
+    Returns:
+        The number of rows by file, and the laps of the flights.
+
     Raises:
-        InputError: a flight that is not finite; then no log of that name is written.
+        InputError: a flight that is not finite; then no log is written.
     """
     from quadjax.fitting.flight_log import write_log
     from quadjax.fitting.formats import paparazzi_columns
 
-    written: list[WrittenLog] = []
-    for name, plan in plans.items():
-        report(f"{name}: compiling")
-
-        def show(seconds: float, name: str = name) -> None:
-            report(f"{name}: {seconds:.0f} s simulated")
-
-        ended = fly_plan(plan, seed, show)
-        gates = np.stack([np.asarray(x) for x in plan.race.track.position.components()], 1)
-        logs = [log_quantities(ended, run, gates) for run in range(plan.recorded)]
-        for run, log in enumerate(logs):
-            if not all(np.isfinite(values).all() for values in log.values()):
-                raise InputError(f"{name}: flight {run} is not finite")
-        for run, log in enumerate(logs):
-            path, laps = folder / f"{name}_{run}.csv", ended.laps
-            write_log(path, paparazzi_columns(log))
-            result = laps.crashes[run], float(laps.seconds[run]), float(laps.totals[run])
-            written.append(WrittenLog(path, len(log["time"]), *result))
-    return written
+    report(f"{name}: compiling")
+    ended = fly_plan(plan, seed, lambda seconds: report(f"{name}: {seconds:.0f} s simulated"))
+    gates = np.stack([np.asarray(x) for x in plan.race.track.position.components()], 1)
+    logs = [log_quantities(ended, run, gates) for run in range(plan.recorded)]
+    for run, log in enumerate(logs):
+        if not all(np.isfinite(values).all() for values in log.values()):
+            raise InputError(f"{name}: flight {run} is not finite")
+    rows = {}
+    for run, log in enumerate(logs):
+        path = folder / f"{name}_{run}.csv"
+        write_log(path, paparazzi_columns(log))
+        rows[path] = len(log["time"])
+    return rows, ended.laps

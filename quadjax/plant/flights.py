@@ -120,27 +120,14 @@ def race_config(config: Config, policy: Policy) -> Config:
 
 
 def plan_logs(
-    config: Config, plant: PlantConfig, policies: Sequence[Path | str], flights: int, laps: int
-) -> dict[str, Plan]:
-    """Flights of several policy files, by the names of their logs, with a record of each sample.
-
-    Arguments and errors as of ``plan_race``.
-    """
-    plant = plant.replace(control_rate=plant.sample_rate)
-    plans = {}
-    for file in policies:
-        plans[Path(file).stem] = plan_race(
-            config,
-            plant,
-            Policy.load(file),
-            str(file),
-            lap_count=laps,
-            runs=flights,
-            recorded=flights,
-        )
-    if len(plans) < len(policies):
-        raise InputError(f"two of the policies have the same name: {', '.join(map(str, policies))}")
-    return plans
+    config: Config, plant: PlantConfig, policy: Path | str, flights: int, laps: int
+) -> Plan:
+    """Flights of a policy file, all with a record of each sample; else as ``plan_race``."""
+    plant, counts = (
+        plant.replace(control_rate=plant.sample_rate),
+        {"runs": flights, "lap_count": laps},
+    )
+    return plan_race(config, plant, Policy.load(policy), str(policy), recorded=flights, **counts)
 
 
 def check_steps(layout: Layout, trained: float, step: float) -> None:
