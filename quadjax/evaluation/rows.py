@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Optional
 import numpy as np
 from scipy.special import stdtrit  # scipy.stats takes a second to import
 
-from quadjax.race.laps import OUT_OF_TIME, Laps
+from quadjax.race.laps import OUT_OF_TIME, Laps, Trace
 
 NAMED = 8  # runs that ended alike, of which the numbers are named
 CONFIDENCE = 0.95  # of an interval
@@ -139,6 +139,24 @@ class Row:
             | {name: round(x, 4) if math.isfinite(x) else None for name, x in numbers}
             | {"crashes": self.ends}
         )
+
+
+def speeds_of(trace: Trace, laps: Laps, time_step: float, limit: float) -> Speeds:
+    """Speeds of recorded flights.
+
+    Args:
+        trace: of the flights.
+        laps: of the flights.
+        time_step: s.
+        limit: m/s, that the time above is counted from.
+    """
+    speed = np.linalg.norm(np.asarray(trace.velocity, np.float64), axis=1)[1:]  # after each step
+    going, target = ~np.asarray(trace.over)[:-1], np.asarray(trace.target)
+    first = time_step * (target != target[0]).argmax(axis=0)
+    if not first.any():  # a track of one gate
+        first = np.nan_to_num(laps.lap_times[:, 0])
+    above = time_step * (going & (speed > limit)).sum(axis=0)
+    return Speeds(first, speed.max(axis=0), above)
 
 
 def common(first: Row, second: Row) -> tuple[Row, Row]:

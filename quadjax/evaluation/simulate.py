@@ -7,22 +7,21 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from quadjax.config.assembly import race_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.vectors import Vec3, safe_norm
+from quadjax.core.vectors import Vec3
 from quadjax.evaluation.conditions import Condition, Conditions, damaged
 from quadjax.evaluation.published import LAPS, published_row
-from quadjax.evaluation.rows import Row, Speeds
+from quadjax.evaluation.rows import Row, speeds_of
 from quadjax.flights.flight import Flight, recorded_flights
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race import environment, episode
 from quadjax.race import laps as race
 from quadjax.race.episode import draw_start, start_gate, with_memory
-from quadjax.race.laps import Actor, LapState
+from quadjax.race.laps import Actor
 from quadjax.race.random_track import RandomTracks
 from quadjax.race.track import Track, gate, gate_count
 from quadjax.race.types import Choices, RaceParams, RaceState
@@ -90,19 +89,15 @@ def simulate(
     steps, last = round(limit / time_step), race.last_gate(params.track, protocol.gates)
     key, noise = jax.random.split(jax.random.key(protocol.seed))
     states, speeds = _starts(choices, params, key, layouts, protocol), None
-    if protocol.speeds:
-        drones, above = (race.begin(states, count), noise), config.vehicle.fitted_speed or math.inf
-        flown, measured = fly_with_speeds(choices, actor, steps, last, params, ready, drones, above)
-        speeds = Speeds(*(np.asarray(x, np.float64) for x in measured))
-    else:
-        flights = (params, ready, states, noise, last)
-        flown, _ = race.fly_race(choices, actor, count, steps, False, *flights)
+    flights = (params, ready, states, noise, last)
+    flown, trace = race.fly_race(choices, actor, count, steps, protocol.speeds, *flights)
     laps = race.laps_of(choices, flown, time_step, limit)
     gates = (protocol.gates or 0) % gate_count(params.track)
     laps = dataclasses.replace(laps, last_gates=gates)
+    if trace is not None:
+        speeds = speeds_of(trace, laps, time_step, config.vehicle.fitted_speed or math.inf)
 
     def record() -> list[Flight]:
-        flights = (params, ready, states, noise, last)
         _, trace = race.fly_race(choices, actor, count, steps, True, *flights)
         return recorded_flights(trace, laps, time_step, config.track.gates, choices.model)
 
@@ -169,41 +164,3 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
     zero = jnp.zeros((), jnp.int32)
     fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
     return with_memory(choices, params, fresh)
-
-
-@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3))
-def fly_with_speeds(
-    choices: Choices,
-    actor: Actor,
-    steps: int,
-    last: int | None,
-    params: RaceParams,
-    policy: object,
-    drones: race.Carry,
-    limit: float,
-) -> tuple[LapState, tuple[jax.Array, jax.Array, jax.Array]]:
-    """Fly drones for at most ``steps`` steps.
-
-    Returns:
-        The race, and (runs,) each the time until the first gate (0 before), s, the highest speed,
-        m/s, and the time above ``limit``, m/s, in s.
-    """
-    one, dt = race.stepper(choices, actor, params, policy, last), params.rules.time_step
-
-    def step(carry: tuple) -> tuple:
-        count, (before, key), (first, highest, above) = carry
-        (after, key), _ = one((before, key))
-        passed = (first == 0.0) & (after.state.gates_passed > 0)
-        now = safe_norm(after.state.drone.velocity)
-        clock = jnp.asarray(after.state.step, jnp.result_type(dt)) * dt
-        first = jnp.where(passed, clock, first)
-        fast = (now > limit) & ~before.over
-        return count + 1, (after, key), (first, jnp.maximum(highest, now), above + dt * fast)
-
-    none = jnp.zeros(drones[0].over.shape)
-    _, (flown, _), speeds = jax.lax.while_loop(
-        lambda carry: (carry[0] < steps) & ~jnp.all(carry[1][0].over),
-        step,
-        (0, drones, (none, none, none)),
-    )
-    return flown, speeds
