@@ -261,12 +261,16 @@ def _within(config: Config, position: Sequence[float], ground: bool = False) -> 
 def _check_gate(config: Config, index: int) -> None:
     """Check that a gate is apart from others, can be reached, and that the drone fits through."""
     inflation, radius = config.training_limits.gate_inflation, config.rules.body_radius
-    gates, smallest = config.track.gates, 2 * (radius - min(inflation, 0.0))
-    gate, key = gates[index], f"track.gates[{index}]"
-    if min(gate.size) <= max(config.vehicle.width, smallest):
-        allowed = f"above vehicle.width {config.vehicle.width:g} and above {smallest:g}"
-        limits = "training_limits.gate_inflation and rules.body_radius"
-        refuse(f"{key}.size", gate.size, f"{allowed}, of {limits}")
+    gates, gate, key = config.track.gates, config.track.gates[index], f"track.gates[{index}]"
+    half, narrower = 0.5 * min(gate.size), max(-inflation, 0.0)
+    of_gate = f"of {key}.size {short(gate.size)}"
+    if radius and radius + narrower >= half:
+        taken = f" less training_limits.gate_inflation {inflation:g}" if narrower else ""
+        refuse("rules.body_radius", radius, f"below {half - narrower:g}, half {of_gate}{taken}")
+    if narrower >= half:
+        refuse("training_limits.gate_inflation", inflation, f"above {-half:g}, half {of_gate}")
+    if 2.0 * half <= config.vehicle.width:
+        refuse(f"{key}.size", gate.size, f"above vehicle.width {config.vehicle.width:g}")
     if gate.shape == "circle" and gate.size[0] != gate.size[1]:
         refuse(f"{key}.size", gate.size, "[diameter, diameter] of a circle")
     upright = gate.shape == "rectangle" and gate.pitch_deg == gate.roll_deg == 0

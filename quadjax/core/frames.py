@@ -5,8 +5,6 @@ quaternion; the functions of its result are for both. Everything here is for one
 ``jax.vmap``.
 """
 
-from typing import overload
-
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -42,14 +40,6 @@ class Attitude:
     cos_yaw: jax.Array
 
 
-@overload
-def attitude(euler: Vec3) -> Attitude: ...
-
-
-@overload
-def attitude(euler: Quaternion) -> QuaternionAttitude: ...
-
-
 def attitude(euler: Vec3 | Quaternion) -> Attitude | QuaternionAttitude:
     """The argument of the functions below, from roll, pitch and yaw, rad, or a quaternion."""
     if isinstance(euler, Quaternion):
@@ -78,14 +68,6 @@ def world_to_body(a: Attitude | QuaternionAttitude, vector: Vec3) -> Vec3:
     x, z = a.cos_pitch * x - a.sin_pitch * z, a.sin_pitch * x + a.cos_pitch * z
     y, z = a.cos_roll * y + a.sin_roll * z, -a.sin_roll * y + a.cos_roll * z
     return Vec3(x, y, z)
-
-
-@overload
-def euler_rates(a: Attitude, body_rates: Vec3) -> Vec3: ...
-
-
-@overload
-def euler_rates(a: QuaternionAttitude, body_rates: Vec3) -> Quaternion: ...
 
 
 def euler_rates(a: Attitude | QuaternionAttitude, body_rates: Vec3) -> Vec3 | Quaternion:

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from quadjax.core.frames import Attitude, attitude, world_to_body, wrap_angle
+from quadjax.core.frames import Attitude, world_to_body, wrap_angle
 from quadjax.core.sections import ORDERED, Field, Section
+from quadjax.core.trigonometry import sincos
 from quadjax.core.vectors import Vec3
 from quadjax.race.random_track import RandomTrack, RandomTracks, generate
 
@@ -167,7 +168,7 @@ def make_track(section: TrackSection) -> Track:
         half_height=0.5 * size[:, 1],
         next_position=Vec3(cosine * x + sine * y, -sine * x + cosine * y, z),
         next_yaw=wrap_angle(next_yaw),
-        attitude=attitude(Vec3(roll, pitch, yaw)) if tilt.any() else None,
+        attitude=Attitude(*sincos(roll), *sincos(pitch), *sincos(yaw)) if tilt.any() else None,
         circle=jnp.asarray(circle) if circle.any() else None,
         start=start,
         closed=closed,

@@ -39,7 +39,7 @@ from quadjax.training.progress import TrainingProgress
 from quadjax.training.result import MetricsFile, Run, check_tensorboard, is_finished, write_summary
 from quadjax.training.score import FEW_STEPS, gap, make_flights, no_lap
 from quadjax.vehicle.registry import base_model
-from quadjax.vehicle.summary import implausible
+from quadjax.vehicle.summary import summarize
 
 PATIENCE = 5.0  # s to wait for a compilation after Ctrl-C before the run ends without saving
 POLL = 0.2  # s
@@ -97,8 +97,9 @@ def train(
             if display is not None and count is not None:
                 display.note(f"{config.name}: {count} environments (learner.num_envs)")
             if display is not None:
-                for text in implausible(base_model(config.vehicle.model), config.vehicle.constants):
-                    display.note(f"warning: {config.vehicle.name}: {text}")
+                vehicle = config.vehicle
+                for text in summarize(base_model(vehicle.model), vehicle.constants).warnings:
+                    display.note(f"warning: {vehicle.name}: {text}")
             with interruptions() as stop, display or contextlib.nullcontext():
                 _run(job, folder, resume, started, display, stop, enough)
         return Run.load(folder, config)

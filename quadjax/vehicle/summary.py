@@ -8,10 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.core.resources import preset_names
 from quadjax.core.vectors import Vec3
 from quadjax.vehicle.protocol import Constants, Motion, State, VehicleModel, VehicleParams
-from quadjax.vehicle.vehicle_file import for_each_rotor, read_vehicle
 
 AXES = ("roll", "pitch", "yaw")
 STEPS, SECONDS = 100, 0.1  # of a simulated command
@@ -53,16 +51,6 @@ def summarize(model: VehicleModel, values: Mapping[str, float]) -> VehicleSummar
         if not lowest <= value <= highest
     ]
     return VehicleSummary([f"  {name:<18}{text}" for name, text in rows], warnings)
-
-
-def implausible(model: VehicleModel, values: Mapping[str, float]) -> list[str]:
-    """The warnings of ``summarize``; a drone of ``configs/vehicles`` has none."""
-    for name in preset_names("vehicles"):
-        constants = read_vehicle(name).models.get(model.name, {})
-        constants = for_each_rotor(constants, model.constant_names)
-        if constants and all(values[key] == value for key, value in constants.items()):
-            return []
-    return summarize(model, values).warnings
 
 
 def _span(values: np.ndarray, form: str) -> str:

@@ -195,7 +195,7 @@ vehicle.mismatch.k_z2=1.1 | unknown key vehicle.mismatch.k_z2; did you mean k_z?
 vehicle.residual_gain=0.5 | is 0.5, allowed: 1.0 without vehicle.residual
 track.file=3 | track.file is 3, allowed: name of a file
 'track.gates=[{position: [0, 0, 1]}]' | track.gates[0].position is [0.0, 0.0, 1.0], allowed
-training_limits.gate_inflation=-0.5 | allowed: above vehicle.width 0.32 and above
+training_limits.gate_inflation=-0.5 | training_limits.gate_inflation is -0.5, allowed: above -0.5
 'start.thrust=[8, 7]' | start.thrust is [8, 7], allowed: [lowest, highest]
 vehicle.constants.k_x=-1e-4 | vehicle.constants.k_x is -0.0001, allowed: at least 0
 'vehicle.mismatch={k_w: 0.1}' | vehicle.constants times vehicle.mismatch give a thrust of
@@ -225,7 +225,7 @@ run.steps=1000000 'schedules.reward.gate={linear: [0, value], until: 2e6}' | at 
 'rules.bounds=[[-1, 4], [-2, 2], [-5, 0]]' | within rules.bounds
 track.closed=false evaluate.laps=1 | track.start is null, allowed
 track.closed=false 'track.start={position: [-3, -1.5, -1.5]}' | evaluate.laps is 6, allowed: 1 with
-rules.body_radius=0.5 | above 1, of training_limits.gate_inflation and rules.body_radius
+rules.body_radius=19 | overrides: rules.body_radius is 19.0, allowed: below 0.5, half of
 'track.gates=[{position: [0, 0, -2], pitch_deg: -90}]' rules.gate_test=world_box | square, because
 'track.gates=[{position: [0, 0, -2], size: [2, 1], shape: circle}]' | of a circle
 'rules.body_rate_limit=[20, 20]' | body_rate_limit
