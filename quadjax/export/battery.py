@@ -21,24 +21,26 @@ import jax.numpy as jnp
 
 from quadjax.core.errors import InputError
 from quadjax.export.disturbances import product_fits, speed_exponent
-from quadjax.export.integers import INPUT_BITS, SPLIT, Rescale
+from quadjax.export.integers import SPLIT, Rescale
 from quadjax.vehicle.battery import LOWEST, limit_estimator
 from quadjax.vehicle.motor import MotorConstants
 
 FINE_BITS = 40  # the range of the speeds is 2^40 fine units
 MOTORS = 4
-LIMITED = Rescale(0, 1 << INPUT_BITS, INPUT_BITS)  # the largest of ``limited``, Q30
 
 
 @dataclasses.dataclass(frozen=True)
 class BatteryTables:
-    """Integers of the estimator."""
+    """Integers of the estimator, in the order of its words."""
 
-    sample_rate: float  # Hz
+    period_ns: int  # of a sample
     exponent: int  # of the range of the speeds and commands, rpm
-    low_pass: Rescale  # k, of fine units as ``integers.scaled``
-    lead: Rescale
-    gain: Rescale
+    low_pass: int  # k, of fine units as ``integers.scaled``
+    low_pass_shift: int
+    lead: int
+    lead_shift: int
+    gain: int
+    gain_shift: int
     lowest: int  # fine units, of the estimate
     highest: int  # fine units, of the estimate: the highest command
     first: int  # fine units, the estimate after a reset
@@ -73,16 +75,12 @@ def make_battery(
     exponent = speed_exponent(top)
     unit = 2.0 ** (exponent - FINE_BITS)
     lowest, highest = round(LOWEST * top / unit), round(top / unit)
-    tables = BatteryTables(
-        sample_rate=sample_rate,
-        exponent=exponent,
-        low_pass=Rescale.of(0.0, float(exact.low_pass)),
-        lead=Rescale.of(0.0, float(exact.lead)),
-        gain=Rescale.of(0.0, float(exact.gain)),
-        lowest=lowest,
-        highest=highest,
-        first=min(max(round(first_rpm / unit), lowest), highest),
-    )
+    factors: list[int] = []
+    for number in (exact.low_pass, exact.lead, exact.gain):
+        rescale = Rescale.of(0.0, float(number))
+        factors += [rescale.factor, rescale.shift]
+    first = min(max(round(first_rpm / unit), lowest), highest)
+    tables = BatteryTables(round(1e9 / sample_rate), exponent, *factors, lowest, highest, first)
     prove_battery(tables)
     return tables
 
@@ -98,16 +96,17 @@ def prove_battery(tables: BatteryTables) -> None:
     Raises:
         InputError: a number that is not allowed, or a sum or product that may reach 2^62.
     """
-    full, factors = 1 << FINE_BITS, (tables.low_pass, tables.lead, tables.gain)
-    fine = all(0 <= f.factor <= 1 << 30 and 17 <= f.shift <= 60 for f in factors)
-    fine = fine and tables.low_pass.factor <= 1 << tables.low_pass.shift
-    fine = fine and 0 <= tables.lowest <= tables.first <= tables.highest <= full
-    fine = fine and abs(tables.exponent) <= 30 and tables.sample_rate > 0.0
+    full, t = 1 << FINE_BITS, tables
+    fine = all(0 <= factor <= 1 << 30 for factor in (t.low_pass, t.lead, t.gain))
+    fine = fine and all(17 <= x <= 60 for x in (t.low_pass_shift, t.lead_shift, t.gain_shift))
+    fine = fine and t.low_pass <= 1 << t.low_pass_shift
+    fine = fine and 0 <= t.lowest <= t.first <= t.highest <= full
+    fine = fine and abs(t.exponent) <= 30 and t.period_ns > 0
     if fine:
-        lead = (2 * full >> SPLIT) * tables.lead.factor >> (tables.lead.shift - SPLIT)
+        lead = (2 * full >> SPLIT) * t.lead >> (t.lead_shift - SPLIT)
         error = 2 * full + 2 + lead + 1
         fine = product_fits(error, 1 << 30)
-        fine = fine and product_fits(MOTORS * (error + 1), tables.gain.factor)
+        fine = fine and product_fits(MOTORS * (error + 1), t.gain)
     if not fine:
         raise InputError(
             "estimator of the highest rpm: its sums may reach 2^62, allowed: below 2^62; "

@@ -46,7 +46,7 @@ def check(policy: FixedPolicy) -> None:
     for part in race.inputs:
         _require(part.index == place, f"the place of {part.name}")
         _require(_is_input(race, part), f"the input {part.name}")
-        place += race.box.layout[part.name].size
+        place += len(part.numbers)
     gates = race.track
     units = (*(gates[name] for name in ("position", "axes", "cosine", "sine")), race.next_gate)
     _require(all(np.all(np.abs(x) <= ONE) for x in units), "a gate")
@@ -63,19 +63,25 @@ def check(policy: FixedPolicy) -> None:
 
 
 def _is_input(race: RaceTables, part: Input) -> bool:
-    exponent = race.box.exponent[part.name]
-    exponents = [race.exponents[i] for i in part.sources] if part.kind != "gate" else []
-    size, kind = race.box.layout[part.name].size, part.kind
+    exponent, numbers, kind = race.box.exponent[part.name], part.numbers, part.kind
+    middle, factor, shift = (numbers[name] for name in ("middle", "factor", "shift"))
     fine = abs(exponent) <= LARGEST_EXPONENT and 0 <= part.lag <= LARGEST_LAG
-    fine &= all(source >= 0 for source in part.sources)
+    fine &= bool(np.all(numbers["source"] >= 0))
+    if kind == "scaled":
+        fine &= bool(np.all((shift >= 1) & (shift <= LARGEST_SHIFT)))
+        fine &= bool(np.all(np.minimum(middle, factor) > -(2**31)))
+    else:
+        fine &= bool(np.all((middle == 0) & (factor == 0) & (shift == 1)))
+    if kind == "gate":
+        return fine and int(part.sources.max()) < race.next_gate.shape[1]
     if kind in VECTORS:
-        fine &= part.sources[0] == race.starts.get(VECTORS[kind]) and size == (
-            6 if kind == "rotation" else 3
-        )
+        first, size = race.starts.get(VECTORS[kind], -1), 6 if kind == "rotation" else 3
+        expected = first + np.arange(size) * (kind != "rotation")
+        fine &= np.array_equal(numbers["source"], expected)
+    exponents = [race.exponents[i] for i in part.sources]
     if kind in ("position", "velocity"):
-        fine &= (
-            len(set(exponents)) == 1 and 1 <= INPUT_BITS - exponents[0] + exponent <= LARGEST_SHIFT
-        )
+        within = 1 <= INPUT_BITS - exponents[0] + exponent <= LARGEST_SHIFT
+        fine &= len(set(exponents)) == 1 and within
     if kind == "attitude":
         fine &= exponents == [exponent, exponent, YAW_EXPONENT]
     if kind == "rotation":
@@ -83,26 +89,20 @@ def _is_input(race: RaceTables, part: Input) -> bool:
         fine &= 1 - INPUT_BITS <= exponent <= LARGEST_SHIFT - INPUT_BITS
     if kind == "copy":
         fine &= set(exponents) == {exponent}
-    for rescale in part.rescales:
-        if rescale is not None:
-            fine &= 1 <= rescale.shift <= LARGEST_SHIFT
-            fine &= min(rescale.middle, rescale.factor) > -(2**31)
-    if kind == "gate":
-        fine &= max(part.sources) < race.next_gate.shape[1]
-    return bool(fine)
+    return fine
 
 
 def _check_estimator(tables: EstimatorTables) -> None:
     largest = max(map(abs, (*tables.exponents, *tables.channel_exponents)))
-    _require(largest <= LARGEST_RANGE and tables.sample_rate > 0.0, "a range of its estimator")
+    _require(largest <= LARGEST_RANGE and tables.period_ns > 0, "a range of its estimator")
     prove_terms(tables)
-    if tables.thrust is None or tables.moment is None or tables.rpm_input is None:
+    if (residual := tables.residual) is None:
         return
-    fine = 1 <= tables.rpm_input.shift <= LARGEST_SHIFT and abs(tables.rpm_input.middle) <= ONE
-    for net, inputs, outputs in ((tables.thrust, 7, 1), (tables.moment, 10, 3)):
-        fine &= all(1 <= shift <= INPUT_BITS for shift in net.shifts)
-        _require(fine, "a scale of its residual")
-        _prove((*net.hidden, net.output), inputs, outputs)
+    fine = 1 <= residual.rpm.shift <= LARGEST_SHIFT and abs(residual.rpm.middle) <= ONE
+    fine &= all(1 <= shift <= INPUT_BITS for shift in residual.shifts)
+    _require(fine, "a scale of its residual")
+    _prove(residual.thrust, 7, 1)
+    _prove(residual.moment, 10, 3)
 
 
 def _prove(layers: tuple[FixedLayer, ...], inputs: int, outputs: int) -> None:

@@ -44,29 +44,28 @@ CHANNELS = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
 
 @dataclasses.dataclass(frozen=True)
 class FixedResidual:
-    """A residual network as integers: ReLU layers and a linear output in fine units."""
+    """A residual as integers: networks of ReLU layers, and a linear output in fine units."""
 
-    hidden: tuple[FixedLayer, ...]
-    output: FixedLayer
-    shifts: tuple[int, ...]  # from each output's accumulator to fine units
+    rpm: Rescale  # rpm to the networks' input
+    thrust: tuple[FixedLayer, ...]  # its output is added to the body-z force
+    moment: tuple[FixedLayer, ...]
+    shifts: tuple[int, ...]  # from the accumulators of the thrust and the moment to fine units
 
 
 @dataclasses.dataclass(frozen=True)
 class EstimatorTables:
     """Integers of the estimator."""
 
-    sample_rate: float  # Hz
-    cutoff: float  # Hz
+    period_ns: int  # of a sample
     exponents: tuple[int, ...]  # gyro 3, specific force 3, rpm 4, body velocity 3
     channel_exponents: tuple[int, ...]  # of the six channels
-    model: np.ndarray  # (6, monomials) int64: what is unexplained but for the residual
-    differentiated: np.ndarray  # (3, monomials) int64
+    # (9, monomials) int64: of the channels, what is unexplained but for the residual; then, of the
+    # moment, what is differentiated
+    model: np.ndarray
     a1: int  # Q30
     a2: int  # Q30
     gain: int  # K, Q32
-    rpm_input: Rescale | None  # rpm to the residual's input
-    thrust: FixedResidual | None  # its output is added to the body-z force
-    moment: FixedResidual | None
+    residual: FixedResidual | None
 
 
 def monomial_units(exponents: tuple[int, ...]) -> np.ndarray:
@@ -111,24 +110,19 @@ def make_estimator(
         bounds, outputs = 2.0 * bounds, outputs / (1.0 - 0.5 * straight)
     channels = tuple(math.ceil(math.log2(1.01 * x)) for x in np.maximum(bounds, outputs))
     fine = np.ldexp(1.0, np.array(channels) - FINE_BITS)[:, None]
-    change = differentiated * units / fine[:3]
+    rows = [model * units / fine * 2.0**MODEL_BITS]
+    rows.append(differentiated * units / fine[:3] * 2.0**DIFFERENCE_BITS)
     tables = EstimatorTables(
-        sample_rate=sample_rate,
-        cutoff=cutoff,
+        period_ns=round(1e9 / sample_rate),
         exponents=exponents,
         channel_exponents=channels,
-        model=np.rint(model * units / fine * 2.0**MODEL_BITS).astype(np.int64),
-        differentiated=np.rint(change * 2.0**DIFFERENCE_BITS).astype(np.int64),
+        model=np.rint(np.concatenate(rows)).astype(np.int64),
         a1=a1,
         a2=a2,
         gain=(1 << Q30) + a1 + a2,
-        rpm_input=None,
-        thrust=None,
-        moment=None,
+        residual=None if residual is None else _residual(residual, exponents, channels),
     )
-    if residual is not None:
-        tables = _with_residual(tables, residual)
-    prove_estimator(tables)
+    prove_estimator(tables, straight, derivative)
     prove_terms(tables)
     return tables
 
@@ -158,22 +152,18 @@ def check_cutoff(sample_rate: float, cutoff: float) -> None:
 
 def _sums(tables: EstimatorTables) -> list[tuple[int, int]]:
     """Of each channel: bounds of the sum of its model and of what is differentiated."""
-    bounds = monomial_bounds().astype(object)
-    sums, changes = (
-        np.abs(rows.astype(object)) @ bounds for rows in (tables.model, tables.differentiated)
-    )
-    return list(zip(map(int, sums), [*map(int, changes), 0, 0, 0], strict=True))
+    sums = np.abs(tables.model.astype(object)) @ monomial_bounds().astype(object)
+    return list(zip(map(int, sums[:6]), [*map(int, sums[6:]), 0, 0, 0], strict=True))
 
 
-def prove_estimator(tables: EstimatorTables) -> None:
-    """Prove that no measurement can overflow the model or the filter.
+def prove_estimator(tables: EstimatorTables, straight: float, derivative: float) -> None:
+    """Prove that no measurement can overflow the model or the filter of ``filter_gains``.
 
     Raises:
         InputError: a channel of which a sum may reach 2^63.
     """
-    straight, derivative = filter_gains(tables.sample_rate, tables.cutoff)
     for name, (total, change) in zip(CHANNELS, _sums(tables), strict=True):
-        x = (total >> MODEL_BITS) + 2 + (RESIDUAL_LIMIT if tables.thrust is not None else 0)
+        x = (total >> MODEL_BITS) + 2 + (RESIDUAL_LIMIT if tables.residual is not None else 0)
         d = (change >> DIFFERENCE_BITS) + 2 if change else 0
         y = straight * x + derivative * d
         # The memory is at most what one more sample and three products can make of it.
@@ -201,7 +191,7 @@ def prove_terms(tables: EstimatorTables) -> None:
     bits = [int(bound).bit_length() for bound in monomial_bounds()]
     fine = all(
         abs(int(factor)).bit_length() + size <= ROOM
-        for row in (*tables.model, *tables.differentiated)
+        for row in tables.model
         for factor, size in zip(row, bits, strict=True)
         if factor
     )
@@ -258,26 +248,27 @@ def filter_gains(sample_rate: float, cutoff: float) -> tuple[float, float]:
     return straight, derivative
 
 
-def _with_residual(tables: EstimatorTables, residual: Residual) -> EstimatorTables:
+def _residual(
+    residual: Residual, exponents: tuple[int, ...], channels: tuple[int, ...]
+) -> FixedResidual:
     low, high = float(residual.rpm_min), float(residual.rpm_max)
-    exponent = tables.exponents[6]
+    exponent = exponents[6]
     reach = max(abs(2.0 * s * 2.0**exponent - low - high) / (high - low) for s in (-1, 1))
     network = math.ceil(math.log2(reach))
     middle, factor = 0.5 * (low + high), 2.0 / (high - low)
-    ranges = np.ldexp(1.0, np.array([network] * 4 + list(tables.exponents[10:])))
-    rates = np.ldexp(1.0, np.array(tables.exponents[:3]))
-    channels, sign = tables.channel_exponents, float(residual.thrust_sign)
-    return dataclasses.replace(
-        tables,
-        rpm_input=Rescale.of(middle * (ONE / 2.0**exponent), factor * 2.0 ** (exponent - network)),
-        thrust=_network("thrust", residual.thrust, ranges, channels[5:], sign),
-        moment=_network("moment", residual.moment, np.append(ranges, rates), channels[:3], 1.0),
-    )
+    ranges = np.ldexp(1.0, np.array([network] * 4 + list(exponents[10:])))
+    rates = np.ldexp(1.0, np.array(exponents[:3]))
+    sign = float(residual.thrust_sign)
+    rpm = Rescale.of(middle * (ONE / 2.0**exponent), factor * 2.0 ** (exponent - network))
+    thrust, shift = _network("thrust", residual.thrust, ranges, channels[5:], sign)
+    ranges = np.append(ranges, rates)
+    moment, shifts = _network("moment", residual.moment, ranges, channels[:3], 1.0)
+    return FixedResidual(rpm, thrust, moment, (*shift, *shifts))
 
 
 def _network(
     name: str, layers: mlp.Layers, ranges: np.ndarray, channels: tuple[int, ...], sign: float
-) -> FixedResidual:
+) -> tuple[tuple[FixedLayer, ...], list[int]]:
     arrays = [(np.asarray(kernel), np.asarray(bias)) for kernel, bias in layers]
     hidden, scale, magnitude = convert_hidden(arrays[:-1], ranges)
     kernel, bias = (sign * values.astype(np.float64).T for values in arrays[-1])
@@ -292,4 +283,4 @@ def _network(
             raise InputError(f"{name} network, row {row}: outputs up to {total:.3g} are too large")
     units = np.ldexp(1.0, np.array(channels) - FINE_BITS)
     output = FixedLayer(np.array(weights), np.array(biases, np.int64), units)
-    return FixedResidual(hidden, output, tuple(shifts))
+    return (*hidden, output), shifts

@@ -157,9 +157,8 @@ def _input(tables: RaceTables, part: Input, q: np.ndarray, target: np.ndarray) -
     values, network = q[then][:, part.sources], tables.box.exponent[part.name]
     gates = tables.track[target]
     if part.kind == "scaled":
-        pairs = zip(part.rescales, values.T, strict=True)
-        zero = np.zeros(len(q), np.int64)
-        return np.stack([zero if r is None else r.apply(value) for r, value in pairs], axis=1)
+        middle, factor, shift = (part.numbers[name] for name in ("middle", "factor", "shift"))
+        return ((values - middle) * factor + (np.int64(1) << (shift - 1))) >> shift
     if part.kind == "attitude":
         yaw = (values[:, 2] << YAW_EXPONENT) - gates["yaw"]
         return np.column_stack([values[:, :2], round_shift(wrap(yaw), network)])

@@ -1,9 +1,11 @@
 """The exported estimators in NumPy, integer for integer, for many drones at once."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from quadjax.export.battery import FINE_BITS as BATTERY_BITS
-from quadjax.export.battery import LIMITED, MOTORS, BatteryTables
+from quadjax.export.battery import MOTORS, BatteryTables
 from quadjax.export.disturbances import (
     DIFFERENCE_BITS,
     FINE_BITS,
@@ -12,18 +14,17 @@ from quadjax.export.disturbances import (
     Q30,
     RESIDUAL_LIMIT,
     EstimatorTables,
-    FixedResidual,
 )
 from quadjax.export.integers import (
     INPUT_BITS,
     ONE,
-    Rescale,
     dense,
     hidden_output,
     quantize,
     round_shift,
     scaled,
 )
+from quadjax.export.network import FixedLayer
 
 FINE = 1 << (BATTERY_BITS - INPUT_BITS)  # fine units of the battery's in 2^-30 of the range
 
@@ -48,13 +49,15 @@ def monomials(q: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def residual_output(network: FixedResidual, inputs: np.ndarray) -> np.ndarray:
+def residual_output(
+    layers: Sequence[FixedLayer], shifts: Sequence[int], inputs: np.ndarray
+) -> np.ndarray:
     """What a residual network adds (n, rows), in fine units, held to half a channel's range."""
     y = inputs
-    for layer in network.hidden:
+    for layer in layers[:-1]:
         y = hidden_output(dense(y, layer.weights, layer.bias))
-    sums = dense(y, network.output.weights, network.output.bias)
-    columns = [round_shift(sums[:, i], shift) for i, shift in enumerate(network.shifts)]
+    sums = dense(y, layers[-1].weights, layers[-1].bias)
+    columns = [round_shift(sums[:, i], shift) for i, shift in enumerate(shifts)]
     return np.clip(np.stack(columns, axis=1), -RESIDUAL_LIMIT, RESIDUAL_LIMIT)
 
 
@@ -71,15 +74,16 @@ class Filters:
     def _unexplained(self, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What goes into the filters (n, 6), and what is differentiated (n, 6), in fine units."""
         tables, q = self._tables, quantize(measured, self._tables.exponents)
-        m = monomials(q)
-        x = round_shift(m @ tables.model.T, MODEL_BITS)
+        sums = monomials(q) @ tables.model.T
+        x = round_shift(sums[:, :6], MODEL_BITS)
         d = np.zeros_like(x)
-        d[:, :3] = round_shift(m @ tables.differentiated.T, DIFFERENCE_BITS)
-        if tables.thrust is not None and tables.moment is not None and tables.rpm_input is not None:
-            rpm = np.clip(tables.rpm_input.apply(q[:, 6:10]), -ONE, ONE)
-            inputs = np.concatenate([rpm, q[:, 10:13]], axis=1)
-            x[:, 5] -= residual_output(tables.thrust, inputs)[:, 0]
-            x[:, :3] -= residual_output(tables.moment, np.append(inputs, q[:, 0:3], axis=1))
+        d[:, :3] = round_shift(sums[:, 6:], DIFFERENCE_BITS)
+        if (residual := tables.residual) is not None:
+            rpm = np.clip(residual.rpm.apply(q[:, 6:10]), -ONE, ONE)
+            inputs, shifts = np.concatenate([rpm, q[:, 10:13]], axis=1), residual.shifts
+            x[:, 5] -= residual_output(residual.thrust, shifts[:1], inputs)[:, 0]
+            inputs = np.append(inputs, q[:, 0:3], axis=1)
+            x[:, :3] -= residual_output(residual.moment, shifts[1:], inputs)
         return x, d
 
     def update(self, measured: np.ndarray) -> np.ndarray:
@@ -135,18 +139,16 @@ class Battery:
         tables, q = self._tables, quantize(sample, self._tables.exponents) * FINE
         rpm, command, limit = q[:, :MOTORS], q[:, MOTORS:], self.highest[:, None]
 
-        def product(value: np.ndarray, by: Rescale) -> np.ndarray:
-            return scaled(value, by.factor, by.shift)
-
         def towards(past: np.ndarray, now: np.ndarray) -> np.ndarray:
-            return past + product(now - past, tables.low_pass)
+            return past + scaled(now - past, tables.low_pass, tables.low_pass_shift)
 
         self.expected = towards(self.expected, np.minimum(command, limit))
         self.limited = towards(self.limited, np.where(command >= limit, 1 << BATTERY_BITS, 0))
-        error = self.speed + product(rpm - self.speed, tables.lead) - self.expected
+        lead = scaled(rpm - self.speed, tables.lead, tables.lead_shift)
+        error = self.speed + lead - self.expected
         self.speed = towards(self.speed, rpm)
-        weighted = scaled(error, self.limited // FINE, LIMITED.shift).sum(axis=1)
-        highest = self.highest + product(weighted, tables.gain)
+        weighted = scaled(error, self.limited // FINE, INPUT_BITS).sum(axis=1)
+        highest = self.highest + scaled(weighted, tables.gain, tables.gain_shift)
         self.highest = np.clip(highest, tables.lowest, tables.highest)
 
 

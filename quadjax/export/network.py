@@ -45,8 +45,7 @@ class FixedNetwork:
     """A policy as integers: what the emulators run and the C contains."""
 
     box: InputBox
-    hidden: tuple[FixedLayer, ...]
-    output: FixedLayer
+    layers: tuple[FixedLayer, ...]  # hidden layers and the output layer
     output_shift: int  # from the output accumulator to its int32
     fraction_bits: int  # of a command: command = integer / 2**fraction_bits
     command_low: np.ndarray  # (outputs,) int64, in units of 2**-fraction_bits
@@ -66,12 +65,7 @@ class FixedNetwork:
     @property
     def outputs(self) -> int:
         """Number of commands."""
-        return len(self.output.bias)
-
-    @property
-    def layers(self) -> tuple[FixedLayer, ...]:
-        """Hidden layers and the output layer."""
-        return (*self.hidden, self.output)
+        return len(self.layers[-1].bias)
 
 
 def check_policy(policy: Policy) -> None:
@@ -131,10 +125,10 @@ def convert(policy: Policy, overrides: dict[str, float] | None = None) -> FixedN
     shift = power - fraction_bits
     weights = np.rint(kernel * scale * 2.0**power).astype(np.int64).astype(np.int32)
     rounded = np.array([round(float(b) * 2.0**power) + 2 ** (shift - 1) for b in bias], np.int64)
+    output = FixedLayer(weights, rounded, np.full(len(bias), 2.0**-fraction_bits))
     return FixedNetwork(
         box=box,
-        hidden=hidden,
-        output=FixedLayer(weights, rounded, np.full(len(bias), 2.0**-fraction_bits)),
+        layers=(*hidden, output),
         output_shift=shift,
         fraction_bits=fraction_bits,
         command_low=np.rint(low * 2.0**fraction_bits).astype(np.int64),

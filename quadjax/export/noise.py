@@ -58,11 +58,6 @@ class NoiseTables:
         steps = noise(factors, 0, TESTED)
         return cls(factors, on_clamped, int(digest(steps.reshape(1, -1))[0]))
 
-    @property
-    def words(self) -> dict[str, int]:
-        """The numbers after the factors, by their names in the words."""
-        return {"on_clamped": int(self.on_clamped), "digest": self.digest}
-
 
 def make_noise(policy: Policy, network: FixedNetwork) -> NoiseTables:
     """The noise of a policy's training: ``exp(log_std)`` of half its command range.

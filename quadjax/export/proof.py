@@ -53,7 +53,7 @@ def prove(network: FixedNetwork, policy: Policy) -> Proof:
         limit = max(abs(int(end)) for end in ends)
         if limit << network.output_shift >= ACCUMULATOR or limit >= 2**31:
             raise InputError(
-                f"layer {len(network.hidden)}, row {number}: its clamp does not fit in 63 bits"
+                f"layer {len(network.layers) - 1}, row {number}: its clamp does not fit in 63 bits"
             )
     return Proof(layers, error_bound(network, policy))
 
@@ -110,11 +110,12 @@ def error_bound(network: FixedNetwork, policy: Policy) -> np.ndarray:
     low, high = -network.box.ranges, network.box.ranges
     layers = zip([*real, output_layer(policy)], network.layers, strict=True)
     for (weights, bias), layer in layers:
-        shift = network.output_shift if layer is network.output else WORD
+        is_output = layer is network.layers[-1]
+        shift = network.output_shift if is_output else WORD
         unit = layer.scale * 2.0**-shift  # real value of one unit of the accumulator
         fixed = layer.weights * unit[:, None] / scale
         offset = layer.bias - 2.0 ** (shift - 1)
-        active = np.any(layer.weights, axis=1) | (offset != 0) | (layer is network.output)
+        active = np.any(layer.weights, axis=1) | (offset != 0) | is_output
         largest = np.maximum(np.abs(low), np.abs(high))
         local = np.abs(fixed - weights) @ largest + np.abs(offset * unit - bias)
         error = (np.abs(fixed) @ error + local + 0.5 * layer.scale) * active

@@ -54,6 +54,8 @@ TRACK = np.dtype([  # of a gate, int64; positions and sizes in the state's posit
     ("round", "<i8"),  # 1: a circle
     ("yaw", "<i8"),  # rad, Q30
 ])  # fmt: skip
+NUMBER = np.dtype([(name, "<i4") for name in ("source", "middle", "factor", "shift")])
+PLAIN = Rescale(0, 0, 1)  # of an input that is not scaled, or that the policy sees as zero
 LAST_COMMAND = "last_command"  # field of the state that the field LAST_ACTION is scaled from
 QUATERNION_EXPONENT = 1  # +-2: a component of length one may be rounded up
 FIELDS = {  # of the state: its size, unit and frame
@@ -79,9 +81,16 @@ class Input:
     name: str
     kind: Kind
     index: int
-    sources: tuple[int, ...]  # numbers of the state, or of the gate's constants
-    rescales: tuple[Rescale | None, ...] = ()  # of scaled inputs; None: the policy sees zero
+    # (size,) of ``NUMBER``: number of the state, or of the gate's constants; of a rotation the
+    # first one. Scaled inputs are (number - middle) factor >> shift, others have 0, 0 and 1.
+    numbers: np.ndarray
     lag: int = 0  # steps before the present one, of the state that it is computed from
+
+    @property
+    def sources(self) -> np.ndarray:
+        """The numbers that it is computed from."""
+        sources = self.numbers["source"]
+        return sources[0] + np.arange(4) if self.kind == "rotation" else sources
 
 
 @dataclasses.dataclass(frozen=True)
@@ -294,15 +303,16 @@ def _inputs(race: RaceTables, spans: dict[str, Spans]) -> tuple[Input, ...]:
         (name, lag), index = split_name(field.name), layout.slice(field.name).start
         if name in KINDS:
             kind, source = KINDS[name]
-            size = 4 if kind == "rotation" else field.size
-            numbers = [starts[source] + i for i in range(size)]
+            step = 0 if kind == "rotation" else 1
+            sources = [starts[source] + step * i for i in range(field.size)]
         elif name in spans:
             axes = ["xyz".index(disturbance[-1]) for disturbance in DISTURBANCES.get(name, ())]
             first = starts[LAST_COMMAND if name == LAST_ACTION else name]
-            kind, numbers = "scaled", [first + i for i in axes or range(field.size)]
+            kind, sources = "scaled", [first + i for i in axes or range(field.size)]
         else:
-            kind, numbers = "gate", list(range(constants, constants + field.size))
+            kind, sources = "gate", list(range(constants, constants + field.size))
             constants += field.size
-        rescales = tuple(rescale for _, rescale in spans.get(name, ()))
-        inputs.append(Input(field.name, kind, index, tuple(numbers), rescales, lag))
+        rescales = [rescale or PLAIN for _, rescale in spans.get(name, [(0, None)] * field.size)]
+        rows = [(at, *dataclasses.astuple(x)) for at, x in zip(sources, rescales, strict=True)]
+        inputs.append(Input(field.name, kind, index, np.array(rows, NUMBER), lag))
     return tuple(inputs)

@@ -15,12 +15,11 @@ from quadjax.export.disturbances import CHANNELS, MONOMIALS, EstimatorTables, Fi
 from quadjax.export.integers import DIGEST_START, Rescale
 from quadjax.export.network import FixedLayer, FixedNetwork
 from quadjax.export.noise import NoiseTables
-from quadjax.export.race_tables import TRACK, VECTORS, Input, RaceTables
+from quadjax.export.race_tables import TRACK, Input, RaceTables
 from quadjax.export.ranges import InputBox
 from quadjax.export.words import (
     BLOCK,
     COMMANDS,
-    FACTORS,
     HEADER,
     KINDS,
     MAGIC,
@@ -28,7 +27,6 @@ from quadjax.export.words import (
     STATE_FIELDS,
     STRUCTS,
     VERSION,
-    ZERO,
     FixedPolicy,
     case_groups,
     pack,
@@ -151,11 +149,9 @@ class _Reader:
             raise InputError(f"vehicle model {vehicle!r}, allowed: {', '.join(MODELS)}")
         shapes = self.take(STRUCTS["layer"], header["layers"])
         race = self.race(header, vehicle)
-        hidden, output = self.layers(shapes)
         network = FixedNetwork(
             box=race.box,
-            hidden=hidden,
-            output=output,
+            layers=self.layers(shapes),
             output_shift=int(header["output_shift"]),
             fraction_bits=int(header["fraction_bits"]),
             command_low=header["low"].astype(np.int64),
@@ -163,8 +159,13 @@ class _Reader:
             model=MODELS[vehicle],
         )
         estimator = self.estimator() if header["estimator"] else None
-        battery = self.battery() if header["battery"] else None
-        noise = self.noise() if header["version"] == SAMPLED_VERSION else None
+        battery = None
+        if header["battery"]:
+            battery = BatteryTables(*self.take(STRUCTS["battery"], 1)[0].tolist())
+        noise = None
+        if header["version"] == SAMPLED_VERSION:
+            factors, *numbers = self.take(STRUCTS["noise"], 1)[0].tolist()
+            noise = NoiseTables(tuple(factors.tolist()), bool(numbers[0]), numbers[1])
         cases = self.cases(header)
         if self._at != len(self._data):
             raise InputError(SIZES_DIFFER)
@@ -192,7 +193,7 @@ class _Reader:
             time_step=float(header["period_ns"] / 1e9),
         )
 
-    def layers(self, shapes: np.ndarray) -> tuple[tuple[FixedLayer, ...], FixedLayer]:
+    def layers(self, shapes: np.ndarray) -> tuple[FixedLayer, ...]:
         """Hidden layers and the output layer, without their padding."""
         layers = []
         for number, (rows, columns) in enumerate(shapes.tolist(), start=1):
@@ -203,54 +204,34 @@ class _Reader:
             weights = blocks.transpose(0, 2, 1).reshape(height, width)[:rows, :columns]
             bias = self.take("<i8", height)[:rows].astype(np.int64)
             layers.append(FixedLayer(weights.astype(np.int32), bias, np.full(rows, np.nan)))
-        return tuple(layers[:-1]), layers[-1]
+        return tuple(layers)
 
     def estimator(self) -> EstimatorTables:
         """The estimator of the disturbances."""
         header = self.take(STRUCTS["estimator"], 1)[0]
         terms = self.take(STRUCTS["term"], header["terms"])
-        shapes = [self.take(STRUCTS["layer"], header[f"{name}_layers"]) for name in _NETS]
-        shifts = [tuple(np.ravel(header[f"{name}_shift"]).tolist()) for name in _NETS]
-        nets = [
-            FixedResidual(*self.layers(shape), shift)
-            for shape, shift in zip(shapes, shifts, strict=True)
-            if len(shape)
-        ]
-        if len(nets) == 1:
+        thrust, moment = (
+            self.take(STRUCTS["layer"], header[f"{name}_layers"]) for name in ("thrust", "moment")
+        )
+        if (len(thrust) == 0) != (len(moment) == 0):
             raise InputError("its estimator has one residual network, allowed: none or two")
+        residual = None
+        if len(thrust):
+            rpm = Rescale(*(int(header[f"rpm_{key}"]) for key in ("middle", "factor", "shift")))
+            shifts = (int(header["thrust_shift"]), *header["moment_shift"].tolist())
+            residual = FixedResidual(rpm, self.layers(thrust), self.layers(moment), shifts)
         model = np.zeros((len(CHANNELS) + 3, len(MONOMIALS)), np.int64)
         model[terms["channel"], terms["monomial"]] = terms["factor"]
-        rpm = Rescale(*(int(header[f"rpm_{key}"]) for key in ("middle", "factor", "shift")))
         return EstimatorTables(
-            sample_rate=1e9 / int(header["period_ns"]),
-            cutoff=0.0,
+            period_ns=int(header["period_ns"]),
             exponents=tuple(header["exponents"].tolist()),
             channel_exponents=tuple(header["channels"].tolist()),
-            model=model[: len(CHANNELS)],
-            differentiated=model[len(CHANNELS) :],
+            model=model,
             a1=int(header["a1"]),
             a2=int(header["a2"]),
             gain=int(header["gain"]),
-            rpm_input=rpm if nets else None,
-            thrust=nets[0] if nets else None,
-            moment=nets[1] if nets else None,
+            residual=residual,
         )
-
-    def battery(self) -> BatteryTables:
-        """The estimator of the highest rpm."""
-        header = self.take(STRUCTS["battery"], 1)[0]
-        low_pass, lead, gain = (
-            Rescale(0, int(header[name]), int(header[f"{name}_shift"])) for name in FACTORS
-        )
-        ends = [int(header[name]) for name in ("lowest", "highest", "first")]
-        rate, exponent = 1e9 / int(header["period_ns"]), int(header["exponent"])
-        return BatteryTables(rate, exponent, low_pass, lead, gain, *ends)
-
-    def noise(self) -> NoiseTables:
-        """The noise of a policy that samples."""
-        section = self.take(STRUCTS["noise"], 1)[0]
-        on_clamped = bool(section["on_clamped"])
-        return NoiseTables(tuple(section["factor"].tolist()), on_clamped, int(section["digest"]))
 
     def cases(self, header: np.ndarray) -> Cases:
         """The self-tests."""
@@ -271,9 +252,6 @@ class _Reader:
             columns = np.split(rows, np.cumsum(list(group.values()))[:-1], axis=1)
             arrays |= dict(zip(group, columns, strict=True))
         return Cases(**arrays, history_digest=int(header["history_digest"]))
-
-
-_NETS = ("thrust", "moment")
 
 
 def _string(words: np.ndarray) -> str:
@@ -304,14 +282,8 @@ def _box(parts: np.ndarray, vehicle: str) -> InputBox:
 
 def _input(part: np.ndarray, numbers: np.ndarray) -> Input:
     """How a field of the observation is computed."""
-    kind, index, size = KINDS[part["kind"] - 1], int(part["index"]), int(part["size"])
-    rows = [row.tolist() for row in numbers[index : index + size]] if index >= 0 else []
-    if not rows or len(rows) != size:
+    index, size = int(part["index"]), int(part["size"])
+    rows = numbers[index : index + size] if index >= 0 else numbers[:0]
+    if not len(rows) or len(rows) != size:
         raise InputError(f"{size} inputs from number {index} on, of {len(numbers)}")
-    sources = [row[0] for row in rows]
-    if kind in VECTORS:
-        sources = [sources[0] + i for i in range(4 if kind == "rotation" else 3)]
-    scales = [Rescale(*row[1:]) for row in rows] if kind == "scaled" else []
-    rescales = tuple(None if rescale == ZERO else rescale for rescale in scales)
-    name = _string(part["name"])
-    return Input(name, kind, index, tuple(sources), rescales, int(part["lag"]))
+    return Input(_string(part["name"]), KINDS[part["kind"] - 1], index, rows, int(part["lag"]))

@@ -80,9 +80,8 @@ def sizes_header(policy: FixedPolicy, any_policy: bool = False) -> str:
     if any_policy:
         return (RUNTIME / "qj_sizes.h").read_text("utf-8") + sampled
     layers = list(policy.network.layers)
-    if policy.estimator is not None:
-        nets = [n for n in (policy.estimator.thrust, policy.estimator.moment) if n is not None]
-        layers += [layer for net in nets for layer in (*net.hidden, net.output)]
+    if policy.estimator is not None and (residual := policy.estimator.residual) is not None:
+        layers += [*residual.thrust, *residual.moment]
     widest = max(max(layer.weights.shape) for layer in layers)
     sizes = {
         "WIDTH": max(SMALLEST_WIDTH, -(-widest // 8) * 8),
@@ -101,8 +100,8 @@ def sizes_header(policy: FixedPolicy, any_policy: bool = False) -> str:
 
 def call_frequency(policy: FixedPolicy) -> int:
     """Calls of Paparazzi's module, Hz: at the rate of the estimators, if there are any."""
-    rates = [t.sample_rate for t in (policy.estimator, policy.battery) if t is not None]
-    return round(rates[0]) if rates else 512
+    estimator = policy.estimator or policy.battery
+    return 512 if estimator is None else round(1e9 / estimator.period_ns)
 
 
 def glue_header(policy: FixedPolicy, race: OwnRace) -> str:

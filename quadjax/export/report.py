@@ -87,11 +87,12 @@ def make_report(converted: Converted) -> Json:
 
 def _layer(converted: Converted, index: int) -> Json:
     """What is proven about a layer."""
-    ranges, hidden = converted.proof.layers[index], index < len(converted.fixed.network.hidden)
+    layers = converted.fixed.network.layers
+    ranges, hidden = converted.proof.layers[index], index + 1 < len(layers)
     outputs = [max(0, high >> WORD) for high in ranges.high]
     return {
         "rows": len(outputs),
-        "columns": int(converted.fixed.network.layers[index].weights.shape[1]),
+        "columns": int(layers[index].weights.shape[1]),
         "largest_accumulator": str(max(ranges.magnitude)),
         "accumulator_bits": round(converted.proof.accumulator_bits[index], 4),
         "largest_output": max(outputs) if hidden else None,

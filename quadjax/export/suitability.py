@@ -51,13 +51,12 @@ def kind_of(model: str) -> int:
 
 def observed_fields(race: RaceTables) -> set[str]:
     """The fields of the state from which an observation is computed, without those seen as zero."""
-    sources = {
-        source
-        for part in race.inputs
-        if part.kind != "gate"
-        for source, rescale in zip(part.sources, part.rescales or (True,) * 4, strict=False)
-        if rescale is not None
-    }
+    sources: set[int] = set()
+    for part in (part for part in race.inputs if part.kind != "gate"):
+        seen = part.sources
+        sources |= set(
+            (seen[part.numbers["factor"] != 0] if part.kind == "scaled" else seen).tolist()
+        )
     return {
         name
         for name, start in race.starts.items()

@@ -36,11 +36,18 @@ from quadjax.core.errors import InputError
 from quadjax.export.battery import MOTORS, BatteryTables
 from quadjax.export.cases import HISTORY_ROUNDS, MEASUREMENTS, SAMPLES, Cases
 from quadjax.export.disturbances import CHANNELS, FINE_BITS, MONOMIALS, EstimatorTables
-from quadjax.export.integers import WORD, Rescale
+from quadjax.export.integers import WORD
 from quadjax.export.names import LONGEST_NAME
 from quadjax.export.network import FixedLayer, FixedNetwork
 from quadjax.export.noise import NoiseTables
-from quadjax.export.race_tables import QUATERNION_EXPONENT, TRACK, YAW_EXPONENT, Kind, RaceTables
+from quadjax.export.race_tables import (
+    NUMBER,
+    QUATERNION_EXPONENT,
+    TRACK,
+    YAW_EXPONENT,
+    Kind,
+    RaceTables,
+)
 from quadjax.export.targets import COMMAND_KINDS, RATES, STATE_FIELDS
 
 MAGIC, VERSION, COMMANDS = 0x00504A51, 2, 4
@@ -50,8 +57,6 @@ BLOCK = 4  # rows of a block of weights
 TURN = 8  # columns, and rows of a hidden layer, are padded to a multiple of this
 KINDS = get_args(Kind)  # numbered from 1 on
 LARGEST_SHIFT, LARGEST_EXPONENT = 60, 30
-ZERO = Rescale(0, 0, 1)  # of an input that is no scaled number, or always zero
-FACTORS = ("low_pass", "lead", "gain")  # of a battery
 
 
 def _struct(*fields: str | tuple[str, str] | tuple[str, str, int]) -> np.dtype:
@@ -75,7 +80,7 @@ STRUCTS = {
     "layer": _struct("rows", "columns"),
     "field": _struct("code", "start", "size"),
     "part": _struct("kind", "index", "size", "exponent", "lag", ("name", "<u4", FIELD_BYTES // 4)),
-    "input": _struct("source", "middle", "factor", "shift"),
+    "input": NUMBER,
     "gate": _struct(
         *(("position", "<i4", 3), ("axes", "<i4", 9), "cosine", "sine"),
         *("half_width", "half_height", "round", ("yaw", "<i8")),
@@ -183,8 +188,8 @@ def _check(policy: FixedPolicy) -> None:
     for text, size in texts.items():
         if len(text) >= size:
             raise InputError(f"name {text}: allowed: up to {size - 1} letters")
-    shifts = [r.shift for part in race.inputs for r in part.rescales if r is not None]
-    if policy.network.outputs != COMMANDS or not all(1 <= x <= LARGEST_SHIFT for x in shifts):
+    shifts = np.concatenate([part.numbers["shift"] for part in race.inputs])
+    if policy.network.outputs != COMMANDS or not np.all((shifts >= 1) & (shifts <= LARGEST_SHIFT)):
         raise InputError(f"allowed: {COMMANDS} commands, and scales of 2^-1 to 2^-{LARGEST_SHIFT}")
 
 
@@ -251,9 +256,10 @@ def _parts(policy: FixedPolicy) -> Iterator[np.ndarray]:
     if policy.estimator is not None:
         yield from _estimator(policy.estimator)
     if policy.battery is not None:
-        yield _battery(policy.battery)
-    if policy.noise is not None:
-        yield _rows("noise", factor=policy.noise.factors, **policy.noise.words)
+        yield _rows("battery", **vars(policy.battery))
+    if (noise := policy.noise) is not None:
+        about = {"on_clamped": noise.on_clamped, "digest": noise.digest}
+        yield _rows("noise", factor=noise.factors, **about)
     for group in case_groups(network.inputs, race.state_size):
         yield np.concatenate([getattr(cases, name) for name in group], axis=1)
 
@@ -269,26 +275,18 @@ def _observation(race: RaceTables) -> Iterator[np.ndarray]:
     sizes = [len(exponents) for exponents in race.fields.values()]
     yield _rows("field", len(codes), code=codes, start=list(race.starts.values()), size=sizes)
     yield _words(race.exponents)
-    parts, layout = race.inputs, race.box.layout
-    sizes = [layout[part.name].size for part in parts]
+    parts = race.inputs
     yield _rows(
         "part",
         len(parts),
         kind=[1 + KINDS.index(part.kind) for part in parts],
         index=[part.index for part in parts],
-        size=sizes,
+        size=[len(part.numbers) for part in parts],
         lag=[part.lag for part in parts],
         exponent=[race.box.exponent[part.name] for part in parts],
         name=[_text(part.name, FIELD_BYTES) for part in parts],
     )
-    for part, size in zip(parts, sizes, strict=True):
-        # Of a rotation, each input has the first number of its source.
-        sources = part.sources if part.kind != "rotation" else part.sources[:1] * size
-        rescales = [rescale or ZERO for rescale in part.rescales] or [ZERO] * size
-        columns = {
-            name: [getattr(x, name) for x in rescales] for name in ("middle", "factor", "shift")
-        }
-        yield _rows("input", size, source=sources, **columns)
+    yield from (part.numbers for part in parts)
 
 
 def _track(race: RaceTables) -> np.ndarray:
@@ -322,48 +320,29 @@ def padded(rows: int, columns: int, hidden: bool) -> tuple[int, int]:
 
 
 def _estimator(tables: EstimatorTables) -> Iterator[np.ndarray]:
-    model = np.concatenate([tables.model, tables.differentiated])
-    channels, terms = np.nonzero(model)
-    nets = [net for net in (tables.thrust, tables.moment) if net is not None]
-    counts = [len(net.hidden) + 1 for net in nets] or [0, 0]
-    rpm = tables.rpm_input or Rescale(0, 0, 0)
-    shifts = [shift for net in nets for shift in net.shifts] or [0] * 4
+    channels, terms = np.nonzero(tables.model)
+    residual, numbers = tables.residual, dict[str, object]()
+    if residual is not None:
+        numbers = {f"rpm_{name}": value for name, value in vars(residual.rpm).items()}
+        numbers |= {"thrust_layers": len(residual.thrust), "moment_layers": len(residual.moment)}
+        numbers |= {"thrust_shift": residual.shifts[0], "moment_shift": residual.shifts[1:]}
     yield _rows(
         "estimator",
-        period_ns=round(1e9 / tables.sample_rate),
+        period_ns=tables.period_ns,
         exponents=tables.exponents,
         channels=tables.channel_exponents,
         terms=len(terms),
-        thrust_layers=counts[0],
-        moment_layers=counts[1],
-        rpm_middle=rpm.middle,
-        rpm_factor=rpm.factor,
-        rpm_shift=rpm.shift,
-        thrust_shift=shifts[0],
-        moment_shift=shifts[1:],
         a1=tables.a1,
         a2=tables.a2,
         gain=tables.gain,
+        **numbers,
     )
-    yield _rows("term", len(terms), channel=channels, monomial=terms, factor=model[channels, terms])
-    for net in nets:
-        yield _sizes((*net.hidden, net.output))
-    for net in nets:
-        yield from _tables((*net.hidden, net.output), 0)
-
-
-def _battery(tables: BatteryTables) -> np.ndarray:
-    factors = {name: getattr(tables, name) for name in FACTORS}
-    return _rows(
-        "battery",
-        period_ns=round(1e9 / tables.sample_rate),
-        exponent=tables.exponent,
-        lowest=tables.lowest,
-        highest=tables.highest,
-        first=tables.first,
-        **{name: factor.factor for name, factor in factors.items()},
-        **{f"{name}_shift": factor.shift for name, factor in factors.items()},
-    )
+    factors = tables.model[channels, terms]
+    yield _rows("term", len(terms), channel=channels, monomial=terms, factor=factors)
+    if residual is not None:
+        yield _sizes((*residual.thrust, *residual.moment))
+        yield from _tables(residual.thrust, 0)
+        yield from _tables(residual.moment, 0)
 
 
 if __name__ == "__main__":

@@ -105,7 +105,7 @@ def test_the_bound_holds_for_the_largest_error_that_a_search_finds():
         dataclasses.replace(layer, weights=layer.weights >> 16 << 16)  # as if of 16 bits
         for layer in network.layers
     ]
-    rough = dataclasses.replace(network, hidden=tuple(layers[:-1]), output=layers[-1])
+    rough = dataclasses.replace(network, layers=tuple(layers))
     bound = error_bound(rough, policy).max()
 
     def error(x):
@@ -141,7 +141,7 @@ def test_a_neuron_that_is_never_active_costs_nothing():
     policy = dataclasses.replace(policy, layers=((kernel, silent), *others))
     network = convert(policy)
     assert [high >> 32 for high in prove(network, policy).layers[0].high].count(0) == 1
-    assert not network.hidden[0].weights[3].any()
+    assert not network.layers[0].weights[3].any()
 
 
 def test_ranges_are_declared():

@@ -127,7 +127,7 @@ def test_what_is_not_given_is_not_read(library):
 
 
 def test_estimators_count_calls_with_wrong_measurements(library):
-    period = round(1e9 / fixed("everything").estimator.sample_rate)
+    period = fixed("everything").estimator.period_ns
     pilot = Pilot(library, words_of("everything"), period, (*MEASURED, "rpm", "sensors"))
     assert not pilot.wrong
     pilot.state["specific_force"] = [0, 0, -9.81]

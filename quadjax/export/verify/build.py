@@ -92,9 +92,10 @@ class Sources:
         table = words_table("quadjax_words", words).encode()
         for name, data in {**files, FILE: words, "stand_in/quadjax_words.h": table}.items():
             write_bytes(work / name, data)
-        rates = [t.sample_rate for t in (policy.battery, policy.estimator) if t is not None]
-        rate = rates[0] if rates else target.calls or 1.0 / policy.time_step
-        return cls(target, work, round(1e9 / rate))
+        estimator = policy.battery or policy.estimator
+        if estimator is not None:
+            return cls(target, work, estimator.period_ns)
+        return cls(target, work, round(1e9 / (target.calls or 1.0 / policy.time_step)))
 
     @property
     def include(self) -> Path:

@@ -269,7 +269,7 @@ def _highest(c: Context) -> str:
     """At full power and less in turn as the battery empties."""
     tables, race, rng = c.fixed.battery, c.exported.race, np.random.default_rng(0)
     assert tables is not None
-    rate, constants = tables.sample_rate, race.params.vehicle.constants
+    rate, constants = c.exported.options.sample_rate, race.params.vehicle.constants
     log = measurements.full_power_bursts(rng, constants, rate, MOTION_SAMPLES / rate)
     highest, first = c.library.highest_rpm(log), tables.first * tables.unit
     require(np.array_equal(highest, estimate_highest(tables, log)), "C and NumPy differ")
