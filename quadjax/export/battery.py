@@ -75,12 +75,18 @@ def make_battery(
     exponent = speed_exponent(top)
     unit = 2.0 ** (exponent - FINE_BITS)
     lowest, highest = round(LOWEST * top / unit), round(top / unit)
-    factors: list[int] = []
-    for number in (exact.low_pass, exact.lead, exact.gain):
-        rescale = Rescale.of(0.0, float(number))
-        factors += [rescale.factor, rescale.shift]
-    first = min(max(round(first_rpm / unit), lowest), highest)
-    tables = BatteryTables(round(1e9 / sample_rate), exponent, *factors, lowest, highest, first)
+    factors: dict[str, int] = {}
+    for name in ("low_pass", "lead", "gain"):
+        rescale = Rescale.of(0.0, float(getattr(exact, name)))
+        factors |= {name: rescale.factor, f"{name}_shift": rescale.shift}
+    tables = BatteryTables(
+        period_ns=round(1e9 / sample_rate),
+        exponent=exponent,
+        lowest=lowest,
+        highest=highest,
+        first=min(max(round(first_rpm / unit), lowest), highest),
+        **factors,
+    )
     prove_battery(tables)
     return tables
 

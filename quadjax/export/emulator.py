@@ -157,8 +157,8 @@ def _input(tables: RaceTables, part: Input, q: np.ndarray, target: np.ndarray) -
     values, network = q[then][:, part.sources], tables.box.exponent[part.name]
     gates = tables.track[target]
     if part.kind == "scaled":
-        middle, factor, shift = (part.numbers[name] for name in ("middle", "factor", "shift"))
-        return ((values - middle) * factor + (np.int64(1) << (shift - 1))) >> shift
+        middle, factor, bits = (part.numbers[name] for name in ("middle", "factor", "shift"))
+        return ((values - middle) * factor + (np.int64(1) << (bits - 1))) >> bits
     if part.kind == "attitude":
         yaw = (values[:, 2] << YAW_EXPONENT) - gates["yaw"]
         return np.column_stack([values[:, :2], round_shift(wrap(yaw), network)])

@@ -123,11 +123,10 @@ def plan_logs(
     config: Config, plant: PlantConfig, policy: Path | str, flights: int, laps: int
 ) -> Plan:
     """Flights of a policy file, all with a record of each sample; else as ``plan_race``."""
-    plant, counts = (
-        plant.replace(control_rate=plant.sample_rate),
-        {"runs": flights, "lap_count": laps},
+    plant, network = plant.replace(control_rate=plant.sample_rate), Policy.load(policy)
+    return plan_race(
+        config, plant, network, str(policy), lap_count=laps, runs=flights, recorded=flights
     )
-    return plan_race(config, plant, Policy.load(policy), str(policy), recorded=flights, **counts)
 
 
 def check_steps(layout: Layout, trained: float, step: float) -> None:
