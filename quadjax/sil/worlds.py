@@ -12,7 +12,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 
 from quadjax.core import quaternion
 from quadjax.core.errors import InputError
@@ -33,6 +32,7 @@ KINDS = {  # of the vehicle models' commands
     "racing": CommandKind.MOTORS_0_TO_1,
     "a2rl": CommandKind.MOTORS_0_TO_1,
 }
+Seen = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # what ``Now`` has after the state
 Motion = tuple[Vec3, Vec3, Vec3, Vec3]  # position, velocity, Euler angles, rates
 
 
@@ -49,32 +49,15 @@ def command_kind(model: VehicleModel) -> CommandKind:
     return KINDS[model.name]
 
 
-@struct.dataclass
-class Seen:
-    """What one control step shows."""
-
-    numbers: jax.Array  # (n,) float32 of ``message.STATE_FIELDS``, without the target
-    target: jax.Array  # () int32
-    true: jax.Array  # (12 + actuators,): position, velocity, Euler angles, rates, actuators
-    over: jax.Array  # () bool
-
-
 @dataclasses.dataclass(frozen=True)
 class Now:
     """A drone between two control steps."""
 
     state: Any  # pytree of the world
-    numbers: np.ndarray
-    target: int
-    true: np.ndarray
-    over: bool
-
-    @classmethod
-    def of(cls, state: Any, seen: Seen) -> "Now":
-        """The arrays on the host."""
-        on_host = jax.device_get(seen)
-        numbers, true = on_host.numbers, on_host.true
-        return cls(state, numbers, int(on_host.target), true, bool(on_host.over))
+    numbers: np.ndarray  # (n,) float32 of ``message.STATE_FIELDS``, without the target
+    target: np.ndarray | int  # () int32
+    true: np.ndarray  # (12 + actuators,): position, velocity, Euler angles, rates, actuators
+    over: np.ndarray | bool  # ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,7 +114,7 @@ def _seen(
         *(center, track.yaw[target]),
     )
     numbers = jnp.stack([jnp.asarray(x, jnp.float32) for x in jax.tree.leaves(parts)])
-    return Seen(numbers, target, jnp.stack(jax.tree.leaves(true)), over)
+    return numbers, target, jnp.stack(jax.tree.leaves(true)), over
 
 
 def _scaled(rotors: Rotors, factor: float) -> Rotors:
@@ -150,12 +133,12 @@ def plant_world(plan: Plan) -> World:
     def begin(seed: int) -> Now:
         start, key = jax.random.split(jax.random.key(seed))
         state, seen = _begin_on_plant(plan, start)
-        return Now.of((state, key), seen)
+        return Now((state, key), *jax.device_get(seen))
 
     def advance(now: Now, command: np.ndarray) -> Now:
         state, key = now.state
         state, key, seen = _advance_plant(plan, state, command, key)
-        return Now.of((state, key), seen)
+        return Now((state, key), *jax.device_get(seen))
 
     def result(now: Now) -> Laps:
         step, limit = float(plan.plant.step), plan.limit * plan.step
@@ -213,11 +196,13 @@ def simulator_world(choices: Choices, params: RaceParams, lap_count: int) -> Wor
 
     def begin(seed: int) -> Now:
         key = jax.random.key(seed)
-        return Now.of(*_begin_in_simulator(choices, lap_count, params, key))
+        state, seen = _begin_in_simulator(choices, lap_count, params, key)
+        return Now(state, *jax.device_get(seen))
 
     def advance(now: Now, command: np.ndarray) -> Now:
         action = 2.0 * (command - low) / (high - low) - np.float32(1.0)
-        return Now.of(*_advance_simulator(choices, params, now.state, action))
+        state, seen = _advance_simulator(choices, params, now.state, action)
+        return Now(state, *jax.device_get(seen))
 
     def result(now: Now) -> Laps:
         return laps.laps_of(choices, now.state, step, laps.time_limit(params.track, lap_count))
