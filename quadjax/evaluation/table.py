@@ -1,7 +1,6 @@
 """Tables as text, Markdown and LaTeX: laps of policies, conditions, and single flights."""
 
 import dataclasses
-import io
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -9,7 +8,6 @@ from typing import Literal, get_args
 
 import numpy as np
 from rich import box
-from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -58,12 +56,7 @@ class Table:
             if len(row) == 1:
                 grid.add_section()
             grid.add_row(*map(Text, row))
-        stream = io.StringIO()
-        # Not as a notebook's console, which would display the table and leave the text empty.
-        console = Console(file=stream, width=10**4, color_system=None, force_jupyter=False)
-        console.print(grid)
-        lines = [line.rstrip() for line in stream.getvalue().rstrip().splitlines()]
-        return "\n".join([*lines, *self.notes])
+        return "\n".join([*markdown.lines_of(grid), *self.notes])
 
     def _markdown(self) -> str:
         rows = [[*row, *[""] * (len(self.titles) - len(row))] for row in self.rows]

@@ -1,16 +1,16 @@
 """Report of a fit: tables, files, and figures of signals against time and of errors."""
 
-import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from quadjax.core.files import write_json, write_text
+from quadjax.core.markdown import lines_of
 from quadjax.core.plotting import INK, SERIES, head, new_figure, save_figure, tidy
 from quadjax.core.provenance import provenance
 from quadjax.core.yaml_files import to_yaml
@@ -28,7 +28,13 @@ FILES = ("config.yaml", "vehicle.yaml", "report.json", "report.txt")
 RESIDUAL = "residual.npz"
 FIGURES = ("held_out_*.png", "training_*.png", "errors.png")
 PATTERNS = (*FILES, RESIDUAL, *FIGURES)  # of all files that a fit writes
-WIDTH = 120
+COLUMNS = {  # of a prediction: title and format
+    "rmse_nominal": ("RMSE", ".4g"),
+    "rmse_residual": ("RMSE with residual", ".4g"),
+    "change": ("change", "+.1%"),
+    "r_squared_nominal": ("R^2", ".3f"),
+    "r_squared_residual": ("R^2 with residual", ".3f"),
+}
 COLORS = {"nominal": SERIES[3], "residual": SERIES[0]}
 LABELS = {"nominal": "nominal", "residual": "nominal + residual"}
 POINTS = 1500  # of a line, at most
@@ -104,30 +110,24 @@ def text_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]])
     """Columns as text, aligned to the right but for the first."""
     table = Table(box=None, pad_edge=False)
     for index, name in enumerate(header):
-        table.add_column(name, justify="right" if index else "left", no_wrap=True)
+        table.add_column(Text(name), justify="right" if index else "left", no_wrap=True)
     for row in rows:
-        table.add_row(*row)
-    console = Console(
-        file=io.StringIO(),
-        width=WIDTH,
-        markup=False,
-        highlight=False,
-        color_system=None,
-        force_jupyter=False,
-    )
-    with console.capture() as captured:
-        console.print(table)
-    return "\n".join([title, *(line.rstrip() for line in captured.get().splitlines())])
+        table.add_row(*map(Text, row))
+    return "\n".join([title, *lines_of(table)])
+
+
+def _numbers(result: Fit, part: Prediction) -> dict[str, np.ndarray]:
+    """Errors of a prediction by the names of ``COLUMNS``, (6,) each."""
+    models = result.models(part).items()
+    numbers = {f"rmse_{name}": part.rmse(modeled) for name, modeled in models}
+    if result.residuals:
+        numbers["change"] = part.change
+    return numbers | {f"r_squared_{name}": r_squared(part.measured, x) for name, x in models}
 
 
 def _prediction_json(result: Fit, part: Prediction) -> dict[str, dict[str, float]]:
-    columns: dict[str, np.ndarray] = {}
-    for name, modeled in result.models(part).items():
-        columns[f"rmse_{name}"] = part.rmse(modeled)
-        columns[f"r_squared_{name}"] = r_squared(part.measured, modeled)
-    if result.residuals:
-        columns["change"] = part.change
-    return {axis: {k: float(v[i]) for k, v in columns.items()} for i, axis in enumerate(AXES)}
+    columns = _numbers(result, part).items()
+    return {axis: {k: float(v[i]) for k, v in columns} for i, axis in enumerate(AXES)}
 
 
 def _notes(result: Fit) -> dict[str, dict[str, str]]:
@@ -170,14 +170,9 @@ def _rows(estimate: Estimate) -> list[tuple[str, ...]]:
 
 def _errors(result: Fit, title: str, part: Prediction) -> str:
     columns = {"": list(AXES)}
-    for name, modeled in result.models(part).items():
-        label = "RMSE" if name == "nominal" else "RMSE with residual"
-        columns[label] = [f"{x:.4g}" for x in part.rmse(modeled)]
-    if result.residuals:
-        columns["change"] = [f"{100.0 * x:+.1f}%" for x in part.change]
-    for name, modeled in result.models(part).items():
-        label = "R^2" if name == "nominal" else "R^2 with residual"
-        columns[label] = [f"{x:.3f}" for x in r_squared(part.measured, modeled)]
+    for name, numbers in _numbers(result, part).items():
+        label, form = COLUMNS[name]
+        columns[label] = [f"{x:{form}}" for x in numbers]
     columns["unit"] = list(result.units.values())
     rows = list(zip(*columns.values(), strict=True))
     return text_table(f"{title} ({len(part.rows)} samples)", list(columns), rows)
