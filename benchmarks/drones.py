@@ -14,7 +14,6 @@ from typing import Annotated
 
 import jax
 import numpy as np
-from cyclopts import Parameter
 
 from quadjax.cli import script
 from quadjax.cli.options import ConfigName, Folder, Overrides, Seed, whole
@@ -86,7 +85,7 @@ def drones(
     /,
     *overrides: Overrides,
     output: Folder,
-    count: Annotated[int, Parameter(converter=whole(1, 1000))] = 5,
+    count: Annotated[int, whole(1, 1000)] = 5,
     seed: Seed = 0,
 ) -> None:
     """Draw ``count`` drones with ``seed``, write their files to a folder and print the paths."""

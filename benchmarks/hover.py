@@ -44,7 +44,7 @@ def caught(policy: quadjax.Policy, config: quadjax.Config, throws: int) -> np.nd
 def hover(
     *overrides: str,
     seeds: Annotated[tuple[int, ...], Parameter(consume_multiple=True)] = (0,),
-    throws: Annotated[int, Parameter(converter=whole(1, MAX_RUNS))] = 10_000,
+    throws: Annotated[int, whole(1, MAX_RUNS)] = 10_000,
     output: Path = Path("runs/hover"),
 ) -> None:
     """Train with each seed, and print training time and the share of throws caught."""

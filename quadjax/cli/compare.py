@@ -24,11 +24,9 @@ def compare(
     e2e: ShippedPolicy = PRETRAINED / "e2e_nominal.npz",
     indi: ShippedPolicy = PRETRAINED / "indi_shac.npz",
     race: Annotated[str, Parameter(metavar="CONFIG")] = "e2e",
-    parts: Annotated[list[Part] | None, Parameter(consume_multiple=True)] = None,
-    conditions: Annotated[
-        list[str] | None, Parameter(consume_multiple=True, metavar="NAME ...")
-    ] = None,
-    plants: Annotated[int, Parameter(converter=opt.whole(1, 1000))] = 10,
+    parts: Annotated[list[Part] | None, opt.LIST] = None,
+    conditions: Annotated[list[str] | None, opt.LIST, Parameter(metavar="NAME ...")] = None,
+    plants: Annotated[int, opt.whole(1, 1000)] = 10,
     laps: opt.Laps = 6,
     runs: opt.Runs = 100,
     sampled: opt.Flag = False,

@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -18,6 +18,7 @@ from quadjax.core.resources import PRETRAINED, policy_names, preset_names
 
 if TYPE_CHECKING:
     from quadjax.config.schema import Config as RaceConfig
+    from quadjax.evaluation.conditions import Conditions
     from quadjax.evaluation.evaluate import Evaluation
     from quadjax.policy.file import Policy
     from quadjax.race.laps import Actor
@@ -44,12 +45,12 @@ def evaluate(
     config: Annotated[opt.ConfigName | None, Parameter(name="CONFIG")] = None,
     /,
     *overrides: opt.Overrides,
-    policy: opt.PolicyFiles | None = None,
+    policy: tuple[opt.PolicyFile, ...] | None = None,
     conditions: Listed = None,
-    only: Annotated[list[str] | None, Parameter(consume_multiple=True, metavar="LABEL ...")] = None,
+    only: Annotated[list[str] | None, opt.LIST, Parameter(metavar="LABEL ...")] = None,
     laps: opt.Laps | None = None,
     gates: opt.Gates | None = None,
-    seconds: Annotated[float | None, Parameter(converter=opt.number(0.01, 1e4))] = None,
+    seconds: Annotated[float | None, opt.number(0.01, 1e4)] = None,
     runs: opt.Runs | None = None,
     start: Literal["hover", "random", "around", "before_gate"] | None = None,
     seed: opt.Seed = 0,
@@ -122,7 +123,6 @@ def evaluate(
         animation: Animate the flight.
     """
     with loading():
-        from quadjax.evaluation.conditions import read_conditions
         from quadjax.evaluation.evaluate import evaluate as fly
         from quadjax.evaluation.evaluate import joined
 
@@ -136,44 +136,38 @@ def evaluate(
     if range_ and not fixed_point:
         raise InputError("--range is allowed only with --fixed-point")
     files = list(policy or ()) or [PRETRAINED / f"{name}.npz" for name in policy_names()]
-    conditions = "protocols" if conditions is None and len(files) > 1 else conditions
-    listed = None if conditions is None else read_conditions(conditions, only)
-    if listed is None:
-        opt.refuse("without --conditions", "only")
-    else:
-        opt.refuse(f"with --conditions {conditions}", *OF_LAPS)
-        for name in ("start", "deterministic"):
-            if all(getattr(condition, name) is not None for condition in listed.conditions):
-                opt.refuse(f"with --conditions {conditions}", name)
+    listed = _listed("protocols" if conditions is None and len(files) > 1 else conditions, only)
     entries = [_entry(file, config, overrides) for file in files]
-    common: dict[str, Any] = {"laps": laps, "gates": gates, "seconds": seconds, "runs": runs}
-    common |= {"start": start, "seed": seed, "plant": plant, "plants": plants, "body_radius": body}
+    how: dict[str, Any] = {"laps": laps, "gates": gates, "seconds": seconds, "runs": runs}
+    how |= {"start": start, "seed": seed, "plant": plant, "plants": plants, "body_radius": body}
     with steps() as show:
         show("compiling and simulating")
-        if listed is not None:
-            common |= {"conditions": listed, "progress": show}
-            common |= {"deterministic": deterministic or None}
-            flown = joined([fly(*entry, name=file, **common) for file, entry in entries])
-            text, record = flown.table(format), flown.to_json()
+        if listed is None:
+            if fixed_point:
+                how["actor"] = _fixed_point(*entries[0][1], range_ or ())
+            flown = _modes(*entries[0], deterministic, how)
         else:
-            file, entry = entries[0]
-            common |= {"name": file}
-            if fixed_point:
-                common |= {"actor": _fixed_point(*entry, range_ or ())}
-            modes = (True,) if deterministic or fixed_point else (False, True)
-            flights_of = [fly(*entry, deterministic=mean, **common) for mean in modes]
-            first, result = flights_of[0], joined(flights_of)
-            if fixed_point:
-                kind = result.row.condition.replace("deterministic", "fixed point, mean")
-                row = dataclasses.replace(result.row, condition=kind)
-                result = dataclasses.replace(result, rows=(row,))
-            text = result.table(format)
-            text, record = text + (_offsets(first) if offsets else ""), first.to_json()
-            _write(first, states, figures, animation, show)
-        if json is not None:
-            write_json(json, record)
+            how |= {"conditions": listed, "progress": show, "deterministic": deterministic or None}
+            flown = [joined([fly(*entry, name=file, **how) for file, entry in entries])]
+        text = joined(flown).table(format) + (_offsets(flown[0]) if offsets else "")
+        _write(flown[0], json, states, figures, animation, show)
     print(text)
     wrote(json, states, f"{figures}/" if figures else None, animation)
+
+
+def _listed(name: str | None, only: list[str] | None) -> "Conditions | None":
+    """A list of conditions, if one is named; options without effect are refused."""
+    from quadjax.evaluation.conditions import read_conditions
+
+    if name is None:
+        opt.refuse("without --conditions", "only")
+        return None
+    listed = read_conditions(name, only)
+    opt.refuse(f"with --conditions {name}", *OF_LAPS)
+    for key in ("start", "deterministic"):
+        if all(getattr(condition, key) is not None for condition in listed.conditions):
+            opt.refuse(f"with --conditions {name}", key)
+    return listed
 
 
 def _entry(
@@ -209,6 +203,20 @@ def _fixed_point(policy: "Policy", race: "RaceConfig", ranges: Sequence[str]) ->
     )
 
 
+def _modes(
+    file: str, entry: tuple["Policy", "RaceConfig"], deterministic: bool, how: Mapping[str, Any]
+) -> list["Evaluation"]:
+    """Flights of one policy: sampled and of the mean action, or of that only."""
+    from quadjax.evaluation.evaluate import evaluate as fly
+
+    if "actor" not in how:
+        modes = (True,) if deterministic else (False, True)
+        return [fly(*entry, name=file, deterministic=mean, **how) for mean in modes]
+    flown = fly(*entry, name=file, deterministic=True, **how)
+    label = flown.row.condition.replace("deterministic", "fixed point, mean")
+    return [dataclasses.replace(flown, rows=(dataclasses.replace(flown.row, condition=label),))]
+
+
 def _offsets(evaluation: "Evaluation") -> str:
     """A line on the distances from the gates' centers; none where no gate is passed."""
     import numpy as np
@@ -223,12 +231,13 @@ def _offsets(evaluation: "Evaluation") -> str:
 
 def _write(
     evaluation: "Evaluation",
+    json: Path | None,
     states: Path | None,
     figures: Path | None,
     animation: Path | None,
     report: Callable[[str], None],
 ) -> None:
-    """Write the states, the figures and the animation that are asked for."""
+    """Write the files that are asked for."""
     from quadjax.core.plotting import save_figure
 
     if states is not None:
@@ -239,6 +248,8 @@ def _write(
     if animation is not None:
         frames = itertools.count(1)
         evaluation.animate(animation, lambda: report(f"animation, frame {next(frames)}"))
+    if json is not None:
+        write_json(json, evaluation.to_json())
 
 
 def _report(

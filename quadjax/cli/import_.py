@@ -10,14 +10,10 @@ from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
 from quadjax.core.interruptions import loading
 
-Motors = Annotated[
-    tuple[int, int, int, int],
-    Parameter(converter=opt.several(opt.whole(1, 4)).converter, metavar="N N N N"),
-]
-Span = Annotated[
-    tuple[float, float],
-    Parameter(converter=opt.several(opt.number(-1e6, 1e6)).converter, metavar="LOW HIGH"),
-]
+Motor = Annotated[int, opt.whole(1, 4)]
+End = Annotated[float, opt.number(-1e6, 1e6)]
+Motors = Annotated[tuple[Motor, Motor, Motor, Motor], Parameter(metavar="N N N N")]
+Span = Annotated[tuple[End, End], Parameter(metavar="LOW HIGH")]
 
 
 def import_(

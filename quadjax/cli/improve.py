@@ -12,9 +12,9 @@ from quadjax.core.folders import claim, remove_files
 from quadjax.core.interruptions import loading
 
 FLIGHTS = Group("Flights on the plant", sort_key=2)
-Rounds = Annotated[int, Parameter(converter=opt.whole(1, 100), group=FLIGHTS)]
+Rounds = Annotated[int, opt.whole(1, 100, group=FLIGHTS)]
 ON_PLANT = ("rounds", "flights", "laps", "plant", "plant_seed", "seed", "check")
-Check = Annotated[int, Parameter(converter=opt.whole(0, 10_000), group=FLIGHTS)]
+Check = Annotated[int, opt.whole(0, 10_000, group=FLIGHTS)]
 
 
 def improve(
@@ -22,10 +22,10 @@ def improve(
     /,
     *overrides: opt.Overrides,
     policy: opt.PolicyFile,
-    steps_: Annotated[int, Parameter(name="--steps", converter=opt.whole(1, 10**9))] = 1_000_000,
+    steps_: Annotated[int, opt.whole(1, 10**9, name="--steps")] = 1_000_000,
     fit: opt.FitConfig = "improve",
     allow_code: opt.AllowCode = False,
-    logs: Annotated[list[str] | None, Parameter(consume_multiple=True, metavar="FILE ...")] = None,
+    logs: Annotated[list[str] | None, opt.LIST, Parameter(metavar="FILE ...")] = None,
     rounds: Rounds = 3,
     flights: Annotated[opt.Runs, Parameter(group=FLIGHTS)] = 2,
     laps: Annotated[opt.Laps, Parameter(group=FLIGHTS)] = 6,

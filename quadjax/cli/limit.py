@@ -1,7 +1,7 @@
 """``quadjax limit``."""
 
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Group, Parameter
 
@@ -13,8 +13,8 @@ from quadjax.core.interruptions import interruptions, loading
 STOPPING = b"\nstopping: the best flight so far is kept; Ctrl-C again ends without it\n"
 FLIGHT = Group("The flight", sort_key=2)
 SEARCH = Group("The search", sort_key=1)
-MeterPerSecond = Annotated[float, Parameter(converter=opt.number(0.1, 1000.0), metavar="M/S")]
-Meter = Annotated[float, Parameter(converter=opt.number(0.0, 1000.0), metavar="M")]
+MeterPerSecond = Annotated[float, opt.number(0.1, 1000.0, metavar="M/S")]
+Meter = Annotated[float, opt.number(0.0, 1000.0, metavar="M")]
 
 
 def limit(
@@ -22,12 +22,12 @@ def limit(
     /,
     *overrides: opt.Overrides,
     policy: Annotated[opt.PolicyFile | None, Parameter(group=SEARCH)] = None,
-    guess: Annotated[opt.InputFiles | None, Parameter(group=SEARCH)] = None,
+    guess: Annotated[tuple[opt.InputFile, ...], Parameter(group=SEARCH, show_default=False)] = (),
     bound_speed: Annotated[MeterPerSecond | None, Parameter(group=SEARCH)] = None,
-    starts: Annotated[int, Parameter(converter=opt.whole(1, 100), group=SEARCH)] = 2,
-    seconds: Annotated[int, Parameter(converter=opt.whole(1, 86_400), group=SEARCH)] = 300,
-    laps: Annotated[int | None, Parameter(converter=opt.whole(1, 20), group=FLIGHT)] = None,
-    gates: Annotated[int | None, Parameter(converter=opt.whole(1, 200), group=FLIGHT)] = None,
+    starts: Annotated[int, opt.whole(1, 100, group=SEARCH)] = 2,
+    seconds: Annotated[int, opt.whole(1, 86_400, group=SEARCH)] = 300,
+    laps: Annotated[int | None, opt.whole(1, 20, group=FLIGHT)] = None,
+    gates: Annotated[int | None, opt.whole(1, 200, group=FLIGHT)] = None,
     stop: Annotated[opt.Flag, Parameter(group=FLIGHT)] = False,
     centers: Annotated[opt.Flag, Parameter(group=FLIGHT)] = False,
     clearance: Annotated[Meter, Parameter(group=FLIGHT)] = 0.0,
@@ -74,22 +74,19 @@ def limit(
     opt.exclude("centers", "clearance")
     race = load_config(config, overrides)
     flight = Flight(gates, laps, stop, None if centers else clearance, speed)
+    search: dict[str, Any] = {
+        "policy": policy,
+        "guesses": guess,
+        "starts": starts,
+        "seconds": seconds,
+    }
     with interruptions(STOPPING) as stopped, steps() as show:
 
         def report(text: str) -> None:
             show("stopping" if stopped.is_set() else text)
 
         try:
-            result = best_known(
-                race,
-                flight,
-                policy=policy,
-                guesses=guess or (),
-                starts=starts,
-                seconds=seconds,
-                stop=stopped,
-                report=report,
-            )
+            result = best_known(race, flight, stop=stopped, report=report, **search)
         except NotFoundError as error:
             print(f"error: {error}", file=sys.stderr)
             if npz is not None and save_unverified(npz, error, race):

@@ -16,7 +16,7 @@ def logs(
     /,
     *overrides: opt.Overrides,
     output: opt.Folder,
-    policy: opt.PolicyFiles,
+    policy: tuple[opt.PolicyFile, ...],
     flights: opt.Runs = 4,
     seed: opt.Seed = 0,
     overwrite: opt.Flag = False,

@@ -1,7 +1,8 @@
 """Types of the arguments and options that several commands share, and checks of output files.
 
 A command is a function whose signature cyclopts reads. A type of this module says how the text of
-an argument becomes a value, which values are allowed, and what the help prints.
+an argument becomes a value, which values are allowed, and what the help prints. An option of
+several values is a tuple of such a type.
 """
 
 import contextvars
@@ -14,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
-from cyclopts import Group, Parameter, Token
+from cyclopts import CoercionError, Group, Parameter, Token
 
 from quadjax.core.errors import InputError, writing
 from quadjax.core.files import check_file
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from quadjax.fitting.config import LogsConfig
 
 PICTURES = (".png", ".svg", ".pdf")
-Converter = Callable[[object, Sequence[Token]], Any]
 SET_OPTIONS: contextvars.ContextVar[frozenset[str]] = contextvars.ContextVar(
     "SET_OPTIONS", default=frozenset()
 )
@@ -59,11 +59,22 @@ def _option(name: str) -> str:
     return f"--{name.strip('_').replace('_', '-')}"
 
 
-def number(low: float, high: float, kind: type[int] | type[float] = float) -> Converter:
-    """A converter of text to a number from ``low`` to ``high``."""
+def reads(convert: Callable[[str], Any], **named: Any) -> Parameter:
+    """A parameter whose text a function converts; its ``ValueError`` says what is allowed."""
 
-    def convert(_: object, tokens: Sequence[Token]) -> float:
-        text = tokens[0].value
+    def converter(_: object, tokens: Sequence[Token]) -> Any:
+        try:
+            return convert(tokens[0].value)
+        except ValueError as error:
+            raise CoercionError(msg=str(error), token=tokens[0]) from error
+
+    return Parameter(converter=converter, **named)
+
+
+def number(low: float, high: float, kind: type = float, **named: Any) -> Parameter:
+    """The parameter of a number from ``low`` to ``high``."""
+
+    def convert(text: str) -> float:
         try:
             value = kind(text)
         except ValueError:
@@ -73,56 +84,40 @@ def number(low: float, high: float, kind: type[int] | type[float] = float) -> Co
             raise ValueError(f"{text!r}, allowed: {what}, {low:{form}} to {high:{form}}")
         return value
 
-    return convert
+    return reads(convert, **named)
 
 
 whole = functools.partial(number, kind=int)
 
 
-def _run_name(_: object, tokens: Sequence[Token]) -> str:
-    if not re.fullmatch(FOLDER_NAME, text := tokens[0].value):
-        raise ValueError(
-            f"{text!r}, allowed: letters, digits, '_', '.' and '-', the last two not first"
-        )
-    return text
+def path(allowed: str, convert: Callable[[str], Path] = Path, **named: Any) -> Parameter:
+    """The parameter of a path, which is not empty; ``allowed`` is the text of what it may be."""
 
+    def checked(text: str) -> Path:
+        if not text:
+            raise ValueError(f"'', allowed: {allowed}")
+        return convert(text)
 
-def path_to(what: str, convert: Callable[[str], Path] = Path) -> Converter:
-    """A converter of text, which is not empty, to the path of what is allowed."""
-
-    def read(_: object, tokens: Sequence[Token]) -> Path:
-        if not tokens[0].value:
-            raise ValueError(f"'', allowed: {what}")
-        return convert(tokens[0].value)
-
-    return read
+    return reads(checked, **named)
 
 
 def _folder(text: str) -> Path:
-    if (path := Path(text)).is_file():
-        raise ValueError(f"{path} is a file, allowed: a folder")
-    return path
+    if Path(text).is_file():
+        raise ValueError(f"{text} is a file, allowed: a folder")
+    return Path(text)
 
 
-def config_of(folder: str) -> Parameter:
+def _run_name(text: str) -> str:
+    if not re.fullmatch(FOLDER_NAME, text):
+        allowed = "letters, digits, '_', '.' and '-', the last two not first"
+        raise ValueError(f"{text!r}, allowed: {allowed}")
+    return text
+
+
+def config_of(folder: str, **named: Any) -> Parameter:
     """The parameter of a config in a folder of ``configs/``, whose help lists the names."""
     names = ", ".join(preset_names(folder))
-    return Parameter(help=f"A name ({names}) or a YAML file.")
-
-
-def several(convert: Converter, at_once: bool = True, metavar: str | None = None) -> Parameter:
-    """The parameter of an option that takes several values, each read by a converter.
-
-    Args:
-        convert: reads a value.
-        at_once: whether they follow one another; else the option is repeated.
-        metavar: of the help.
-    """
-
-    def convert_all(kind: object, tokens: Sequence[Token]) -> tuple[Any, ...]:
-        return tuple(convert(kind, [token]) for token in tokens)
-
-    return Parameter(converter=convert_all, consume_multiple=at_once, metavar=metavar)
+    return Parameter(help=f"A name ({names}) or a YAML file.", **named)
 
 
 Flag = Annotated[bool, Parameter(show_default=False)]
@@ -140,27 +135,26 @@ ConfigName = Annotated[str, Parameter(name="CONFIG", help="A preset's name or a 
 Overrides = Annotated[
     str, Parameter(name="KEY=VALUE", help="Changes of keys of the config, and +PART for parts.")
 ]
-RunName = Annotated[str, Parameter(converter=_run_name, metavar="NAME", help="Name of the folder.")]
-A_POLICY = path_to("a policy file, the folder of a run, or a shipped policy", policy_file)
-PolicyFile = Annotated[Path, Parameter(converter=A_POLICY, metavar="FILE.npz")]
-PolicyFiles = Annotated[tuple[Path, ...], several(A_POLICY, False, "FILE.npz")]
-PlantConfig = Annotated[str, config_of("plant"), Parameter(metavar="CONFIG")]
-FitConfig = Annotated[str, config_of("fit"), Parameter(metavar="FIT.yaml")]
-Race = Annotated[str | None, Parameter(metavar="CONFIG")]
-Export = Annotated[Path, Parameter(converter=path_to("the folder of quadjax export, or a file"))]
-Folder = Annotated[
-    Path, Parameter(converter=path_to("the name of a folder", _folder), metavar="DIR")
+RunName = Annotated[str, reads(_run_name, metavar="NAME", help="Name of the folder.")]
+PolicyFile = Annotated[
+    Path,
+    path("a policy file, the folder of a run, or a shipped policy", policy_file),
+    Parameter(metavar="FILE.npz"),
 ]
+PlantConfig = Annotated[str, config_of("plant", metavar="CONFIG")]
+FitConfig = Annotated[str, config_of("fit", metavar="FIT.yaml")]
+Race = Annotated[str | None, Parameter(metavar="CONFIG")]
+Export = Annotated[Path, path("the folder of quadjax export, or a file")]
+Folder = Annotated[Path, path("the name of a folder", _folder, metavar="DIR")]
 RunsFolder = Annotated[Folder, Parameter(help="Write to DIR/NAME.")]
-InputFile = Annotated[Path, Parameter(converter=path_to("a file"), metavar="FILE")]
-InputFiles = Annotated[tuple[Path, ...], several(path_to("a file"), False, "FILE")]
-Seed = Annotated[int, Parameter(converter=whole(0, MAX_SEED))]
-Seeds = Annotated[tuple[int, ...], several(whole(0, MAX_SEED)), Parameter(metavar="N ...")]
-Laps = Annotated[int, Parameter(converter=whole(1, MAX_LAPS))]
-Gates = Annotated[int, Parameter(converter=whole(1, MAX_GATES))]
-Runs = Annotated[int, Parameter(converter=whole(1, MAX_RUNS))]
-Count = Annotated[int, Parameter(converter=whole(1, 10**6))]
-Positive = Annotated[float, Parameter(converter=number(1e-6, 50.0))]
+InputFile = Annotated[Path, path("a file", metavar="FILE")]
+Seed = Annotated[int, whole(0, MAX_SEED)]
+Laps = Annotated[int, whole(1, MAX_LAPS)]
+Gates = Annotated[int, whole(1, MAX_GATES)]
+Runs = Annotated[int, whole(1, MAX_RUNS)]
+Count = Annotated[int, whole(1, 10**6)]
+Positive = Annotated[float, number(1e-6, 50.0)]
+LIST = Parameter(consume_multiple=True)  # values that follow one another; else the option repeats
 
 
 @Parameter(name="*")

@@ -1,7 +1,7 @@
 """``quadjax replay``."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -11,6 +11,9 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.folders import results
 from quadjax.core.interruptions import loading
+
+if TYPE_CHECKING:
+    from quadjax.config.schema import Config
 
 
 def replay(
@@ -54,7 +57,6 @@ def replay(
         json: Write the numbers there as well.
     """
     with loading():
-        from quadjax.config.loading import load_config
         from quadjax.core.plotting import save_figure
         from quadjax.core.provenance import provenance
         from quadjax.evaluation.report import FORMATS
@@ -65,30 +67,25 @@ def replay(
         from quadjax.replay import FILES, text_of
         from quadjax.replay import replay as replay_log
 
-    if policy is None and vehicle is None:
-        raise InputError("--policy or --vehicle is required (try --help)")
     if vehicle is None:
+        if policy is None:
+            raise InputError("--policy or --vehicle is required (try --help)")
         opt.refuse("without --vehicle", "residual")
     network = flown = drone = None
     if policy is not None:
         network = Policy.load(policy)
         drone, origin = race_of_policy(network, policy, race, track, note)
         flown = own_race(drone, network, origin, str(policy))
-    gates = None if drone is None else drone.track
+    gates = drone and drone.track
     if vehicle is not None:
-        residual = residual or _residual_of(vehicle)
-        changes = [f"vehicle={vehicle}", *([f"track={track}"] if track else [])]
-        changes += [f"vehicle.residual={residual}"] if residual not in (None, "none") else []
-        drone = load_config(race or "e2e +fastest", changes)
+        drone = _drone_of(vehicle, residual, race, track)
     assert drone is not None
-    columns = logs.columns()
-    folder = output / name
+    columns, folder = logs.columns(), output / name
     with results(folder, "replay", FILES, overwrite) as new, steps() as report:
         flight = read_log(log, columns)
         report("compiling and replaying")
-        numbers, figures = replay_log(
-            flight, gates or drone.track, drone, flown, network, drive, report
-        )
+        parts = (gates or drone.track, drone, flown, network, drive, report)
+        numbers, figures = replay_log(flight, *parts)
         report("figures")
         text, record = text_of(numbers), numbers | {"provenance": provenance(drone)}
         write_text(new / "table.txt", text + "\n")
@@ -102,7 +99,13 @@ def replay(
     wrote(f"{folder}/", json)
 
 
-def _residual_of(vehicle: Path) -> str | None:
-    """The residual that a fit wrote next to a vehicle file; None for none."""
-    residual = vehicle.with_name("residual.npz")
-    return str(residual) if vehicle.is_file() and residual.is_file() else None
+def _drone_of(vehicle: Path, residual: str | None, race: str | None, track: str | None) -> "Config":
+    """The race with the drone of a vehicle file, and the residual that a fit wrote next to it."""
+    from quadjax.config.loading import load_config
+
+    fitted = vehicle.with_name("residual.npz")
+    if residual is None and vehicle.is_file() and fitted.is_file():
+        residual = str(fitted)
+    changes = [f"vehicle={vehicle}", *([f"track={track}"] if track else [])]
+    changes += [f"vehicle.residual={residual}"] if residual not in (None, "none") else []
+    return load_config(race or "e2e +fastest", changes)

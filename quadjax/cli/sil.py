@@ -1,10 +1,9 @@
 """``quadjax sil``."""
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import Group, Parameter, Token
+from cyclopts import Group, Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.export import Target
@@ -16,21 +15,25 @@ from quadjax.core.interruptions import interruptions, loading
 from quadjax.core.resources import find_policy, policy_names
 from quadjax.export.names import KIND, report_of
 from quadjax.export.targets import DEFAULT_TARGET
+from quadjax.sil.faults import WRONG_UNITS, Faults, parse_nan
+
+if TYPE_CHECKING:
+    from quadjax.sil.run import Flown
 
 STOPPING = b"\nstopping: a flight that has begun is saved; Ctrl-C again ends without saving\n"
 FAULTS = Group("Faults, of messages in either direction", sort_key=2)
+UNITS = tuple(WRONG_UNITS)
 
 
-def _address(_: object, tokens: Sequence[Token]) -> tuple[str, int]:
-    text = tokens[0].value
+def _address(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not host or not port.isascii() or not port.isdigit() or not int(port[:9]) < 65536:
         raise ValueError(f"{text!r:.60}, allowed: HOST:PORT with a port of 0 to 65535")
     return host, int(port)
 
 
-Address = Annotated[tuple[str, int], Parameter(converter=_address, metavar="HOST:PORT", n_tokens=1)]
-Probability = Annotated[float, Parameter(converter=opt.number(0.0, 1.0), metavar="P", group=FAULTS)]
+Address = Annotated[tuple[str, int], opt.reads(_address, metavar="HOST:PORT", n_tokens=1)]
+Probability = Annotated[float, opt.number(0.0, 1.0, metavar="P", group=FAULTS)]
 
 
 def sil(
@@ -42,21 +45,17 @@ def sil(
     race: opt.Race = None,
     plant: opt.PlantConfig = "standin",
     simulator: opt.Flag = False,
-    speed: Annotated[
-        float | None, Parameter(converter=opt.number(0.01, 1000.0), metavar="X")
-    ] = None,
+    speed: Annotated[float | None, opt.number(0.01, 1000.0, metavar="X")] = None,
     laps: opt.Laps | None = None,
     runs: opt.Runs = 1,
     seed: opt.Seed = 0,
-    timeout: Annotated[float, Parameter(converter=opt.number(0.001, 3600.0), metavar="S")] = 5.0,
+    timeout: Annotated[float, opt.number(0.001, 3600.0, metavar="S")] = 5.0,
     drop: Probability = 0.0,
     late: Probability = 0.0,
-    delay: Annotated[
-        float, Parameter(converter=opt.number(0.0, 10_000.0), metavar="MS", group=FAULTS)
-    ] = 20.0,
+    delay: Annotated[float, opt.number(0.0, 10_000.0, metavar="MS", group=FAULTS)] = 20.0,
     damage: Probability = 0.0,
     nan: Annotated[list[str] | None, Parameter(metavar="FIELD=P", group=FAULTS)] = None,
-    wrong_unit: Annotated[list[str] | None, Parameter(metavar="FIELD=UNIT", group=FAULTS)] = None,
+    wrong_unit: Annotated[list[str] | None, Parameter(choices=UNITS, group=FAULTS)] = None,
     view: opt.Flag = False,
     name: opt.RunName = "sil",
     output: opt.RunsFolder = Path("runs"),
@@ -94,8 +93,7 @@ def sil(
         delay: Delay of late messages, ms.
         damage: Messages with one bit flipped.
         nan: A number of a state's field is NaN; may be repeated.
-        wrong_unit: Unit of a state's field: attitude=deg, rates=deg/s, position=mm, velocity=cm/s,
-            rotor_speed=rpm; may be repeated.
+        wrong_unit: Unit of a state's field; may be repeated.
         view: Show the flight in the browser.
     """
     name_of_source, source = source, source if listen else _source_of(source)
@@ -110,14 +108,9 @@ def sil(
         raise InputError(f"{overrides[0]} has no effect with --simulator")
     with loading():
         from quadjax.plant.config import load_plant_config
-        from quadjax.sil.faults import WRONG_UNITS, Faults, parse_nan
-        from quadjax.sil.fly import INTERRUPTED as STOPPED
         from quadjax.sil.fly import Timing
-        from quadjax.sil.run import FILES, STATES_FILE, Setting, fly_all
+        from quadjax.sil.run import FILES, Setting, fly_all
 
-    for unit in wrong_unit or ():
-        if unit not in WRONG_UNITS:
-            raise InputError(f"--wrong-unit {unit}, allowed: {', '.join(WRONG_UNITS)}")
     nans, units = parse_nan(nan or []), tuple(wrong_unit or ())
     faults = Faults(drop, late, delay / 1000.0, damage, nans, units)
     drone = None if simulator else load_plant_config(plant, overrides)
@@ -133,17 +126,25 @@ def sil(
         flown.write(new)
     print(flown.text())
     wrote(f"{folder}/")
-    last = flown.races[-1]
+    return _shown(flown, folder, view, str(name_of_source))
+
+
+def _shown(flown: "Flown", folder: Path, view: bool, source: str) -> int:
+    """Show the flight, or say how, and what to do next; returns the exit status."""
+    from quadjax.sil.fly import INTERRUPTED as STOPPED
+    from quadjax.sil.run import STATES_FILE
+
+    setting, last = flown.setting, flown.races[-1]
     if last.gone is not None:
         raise last.gone
     if view and len(last.flight.time):
         show(str(folder / STATES_FILE), output=folder / "flight.html", open_=True)
     else:
         print(f"Next: quadjax view {folder / STATES_FILE}")
-    if source.is_file() and not listen:
-        print(f"Then: quadjax export {name_of_source} --target {target} --output out")
-    elif not listen:
-        print(f"Then: copy the C of {source} to the autopilot")
+    if setting.listen is None and setting.source.is_file():
+        print(f"Then: quadjax export {source} --target {setting.target} --output out")
+    elif setting.listen is None:
+        print(f"Then: copy the C of {setting.source} to the autopilot")
     return INTERRUPTED if last.flight.crash == STOPPED else 0
 
 

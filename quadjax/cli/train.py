@@ -13,6 +13,7 @@ from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
 
 SEEDS = Group("Several seeds", sort_key=2)
+Seeds = Annotated[tuple[opt.Seed, ...], opt.LIST, Parameter(metavar="N ...")]
 
 
 def train(
@@ -24,7 +25,7 @@ def train(
     resume: opt.Flag = False,
     overwrite: opt.Flag = False,
     fine_tune: opt.PolicyFile | None = None,
-    seeds: Annotated[opt.Seeds | None, Parameter(group=SEEDS)] = None,
+    seeds: Annotated[Seeds | None, Parameter(group=SEEDS)] = None,
     runs: Annotated[opt.Runs, Parameter(group=SEEDS)] = 100,
     figure: opt.Picture = None,
 ) -> int:

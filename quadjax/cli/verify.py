@@ -18,7 +18,7 @@ def verify(
     folder: Annotated[opt.Export, Parameter(name="DIR")],
     /,
     *,
-    vectors: Annotated[int, Parameter(converter=opt.whole(100, 10**6))] = 5_000,
+    vectors: Annotated[int, opt.whole(100, 10**6)] = 5_000,
     runs: opt.Runs = 0,
     allow_unfinished: opt.AllowUnfinished = False,
     allow_other_race: opt.AllowOtherRace = False,
