@@ -8,7 +8,7 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Policy
 from quadjax.race.layout import LAST_ACTION, Layout, split_name
-from quadjax.race.observations import CONSTANTS, DISTURBANCES, HIGHEST_RPM, NEXT_FIELDS, fields_of
+from quadjax.race.observations import AHEAD, CONSTANTS, DISTURBANCES, HIGHEST_RPM, fields_of
 from quadjax.race.track import Track, gates_ahead, unwrapped_turns
 from quadjax.vehicle.registry import MODELS
 
@@ -125,10 +125,10 @@ def next_gates(track: Track) -> dict[str, np.ndarray]:
         "next_yaw": np.asarray(track.next_yaw)[:, None],
         "next_yaw_unwrapped": np.asarray(unwrapped_turns(track))[:, None],
     }
-    for count, (place_field, yaw_field) in enumerate(NEXT_FIELDS, start=2):
+    for count in AHEAD:
         place, yaw = gates_ahead(track, count)
-        values[place_field.name] = np.asarray(place.array())
-        values[yaw_field.name] = np.asarray(yaw)[:, None]
+        values[f"next{count}_position"] = np.asarray(place.array())
+        values[f"next{count}_yaw"] = np.asarray(yaw)[:, None]
     return {name: value.astype(np.float64) for name, value in values.items()}
 
 

@@ -1,6 +1,6 @@
 """Layouts: the named fields of an observation, in order; their numbers, history and files.
 
-The section ``observation`` of a config says which fields of ``OBSERVATIONS`` a layout has.
+The section ``observation`` of a config says which fields of the race a layout has.
 """
 
 import dataclasses
@@ -133,10 +133,8 @@ class ObservedField:
             None is minus the highest, and a range of zero width gives zero. None: not scaled.
         source: where the numbers of a disturbance come from: ground_truth, estimated or none.
         span: the numbers of ``scale``, one pair for each; None where unknown or not scaled.
-        has_history: of a field of ``OBSERVATIONS``, whether it depends on the vehicle's motion and
-            actions alone, so that it may be observed as it was in earlier steps.
-        when: of a field of ``OBSERVATIONS``, ``(observed, model, battery) -> whether a race
-            observes it``; None: every race does.
+        has_history: whether it depends on the vehicle's motion and actions alone, so that it may be
+            observed as it was in earlier steps.
     """
 
     name: str
@@ -149,7 +147,6 @@ class ObservedField:
     source: str = ""
     span: tuple[tuple[float, float], ...] | None = None
     has_history: bool = False
-    when: Callable[[Observation, VehicleModel, bool], bool] | None = None
 
     @property
     def labels(self) -> tuple[str, ...]:

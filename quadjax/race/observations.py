@@ -1,4 +1,4 @@
-"""What a policy observes: the table ``OBSERVATIONS`` of named fields, and layouts made of them.
+"""What a policy observes: the table ``fields_of`` of named fields, and layouts made of them.
 
 Sizes, slices, scaling, the conversion between two policies' scalings and the ranges of the exported
 code derive from the ``Layout``. The default one is that of Ferede et al. (arXiv 2311.16948): 24
@@ -10,7 +10,7 @@ after a gate. At the start of an episode all earlier states are the first one.
 """
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -31,12 +31,13 @@ from quadjax.race.layout import (
     Source,
     delayed,
 )
-from quadjax.race.track import gates_ahead, pick, to_gate_frame, unwrapped_turns
+from quadjax.race.track import Span, gates_ahead, pick, to_gate_frame, unwrapped_turns
 from quadjax.race.types import RaceParams, Step
 from quadjax.vehicle.battery import LOWEST, highest_rpm
 from quadjax.vehicle.protocol import VehicleModel
 
-HIGHEST_RPM, CONSTANTS, MOST_AHEAD = "highest_rpm", "constants", 4
+HIGHEST_RPM, CONSTANTS = "highest_rpm", "constants"
+AHEAD = range(2, 5)  # gates after the target that may be observed, with the next one
 ACTUATORS = "actuators"  # in a history: the field of the model's actuators, whatever its name
 
 # Values: functions of the step, whose state and gate are those that are observed.
@@ -86,22 +87,20 @@ def _next_yaw_unwrapped(step: Step) -> Numbers:
     return (pick(unwrapped_turns(step.params.track), step.state.target),)
 
 
-def _beyond(count: int) -> tuple[ObservedField, ObservedField]:
-    """Position and yaw of the gate that is ``count`` gates after the target."""
+def _position_beyond(count: int, step: Step) -> Numbers:
+    """The position of the gate that is ``count`` gates after the target."""
+    place, _ = gates_ahead(step.params.track, count)
+    return [pick(table, step.state.target) for table in place.components()]
 
-    def position(step: Step) -> Numbers:
-        place, _ = gates_ahead(step.params.track, count)
-        return [pick(table, step.state.target) for table in place.components()]
 
-    def yaw(step: Step) -> Numbers:
-        _, turn = gates_ahead(step.params.track, count)
-        return (pick(turn, step.state.target),)
+def _yaw_beyond(count: int, step: Step) -> Numbers:
+    """The yaw of the gate that is ``count`` gates after the target."""
+    _, turn = gates_ahead(step.params.track, count)
+    return (pick(turn, step.state.target),)
 
-    def when(observed: Observation, *_: object) -> bool:
-        return observed.gates_ahead >= count
 
-    place = ObservedField(f"next{count}_position", 3, "m", "gate", 16.0, position, when=when)
-    return place, ObservedField(f"next{count}_yaw", 1, "rad", "gate", 4.0, yaw, when=when)
+def _actuators(step: Step) -> Numbers:
+    return jax.tree.leaves(step.drone.actuators)
 
 
 def _last_action(step: Step) -> Numbers:
@@ -127,6 +126,14 @@ def _disturbance(source: Source, step: Step) -> tuple[Vec3, Vec3]:
         assert step.state.estimate is not None
         return step.state.estimate.moment, step.state.estimate.force
     return (Vec3.zero(), Vec3.zero()) if source == NONE else step.drone.disturbance
+
+
+def _moment(source: Source, step: Step) -> Numbers:
+    return _disturbance(source, step)[0].components()
+
+
+def _force_z(source: Source, step: Step) -> Numbers:
+    return (_disturbance(source, step)[1].z,)
 
 
 def _highest_rpm(source: Source, step: Step) -> Numbers:
@@ -167,120 +174,76 @@ def _constant_range(model: VehicleModel, params: RaceParams) -> Bounds:
     return tuple(x - width for x, width in pairs), tuple(x + width for x, width in pairs)
 
 
+def _actuator_range(span: Span | None, model: VehicleModel, params: RaceParams) -> Bounds:
+    if span is None:
+        return model.actuator_range(params.vehicle.constants)
+    low, high = ((jnp.float32(end),) * model.actuators.size for end in span)
+    return low, high
+
+
+def _half_widths(names: Sequence[str], _: VehicleModel, params: RaceParams) -> Bounds:
+    return None, [getattr(params.observed_disturbance, name) for name in names]
+
+
 # The observed disturbances by field, as the section ``disturbance`` of a config names them.
 DISTURBANCES = {"moment_ext": ("moment_x", "moment_y", "moment_z"), "force_ext": ("force_z",)}
-NEXT_FIELDS = tuple(_beyond(count) for count in range(2, MOST_AHEAD + 1))
-
-
-def _is(key: str, value: object) -> Callable[[Observation, VehicleModel, bool], bool]:
-    """A field's ``when``: a key of the section has this value."""
-    return lambda observed, *_: getattr(observed, key) == value
-
-
-# Fields that depend on the vehicle model or on the source of their numbers.
-
-
-def _actuators(model: VehicleModel, observed: Observation) -> ObservedField:
-    span, size = observed.actuator_range, model.actuators.size
-
-    def value(step: Step) -> Numbers:
-        return jax.tree.leaves(step.drone.actuators)
-
-    def scale(model: VehicleModel, params: RaceParams) -> Bounds:
-        if span is None:
-            return model.actuator_range(params.vehicle.constants)
-        return (jnp.float32(span[0]),) * size, (jnp.float32(span[1]),) * size
-
-    numbers = (*model.actuators, "body", 2.0, value, scale)
-    return ObservedField(*numbers, has_history=True, when=_is("actuators", True))
-
-
-def _external(
-    name: str, unit: str, axes: str, model: VehicleModel, observed: Observation
-) -> ObservedField:
-    """An observed disturbance: the moment or the force."""
-    index, keys, source = list(DISTURBANCES).index(name), DISTURBANCES[name], observed.disturbance
-
-    def value(step: Step) -> Numbers:
-        return [getattr(_disturbance(source, step)[index], axis) for axis in axes]
-
-    def width(_: VehicleModel, params: RaceParams) -> Bounds:
-        return None, [getattr(params.observed_disturbance, key) for key in keys]
-
-    return ObservedField(
-        name,
-        *(len(axes), unit, "body", 2.0, value, width, source),
-        when=lambda observed, model, battery: model.disturbed,
-    )
-
-
-# Every field, in the order of an observation, or a function ``(model, observed) -> field``. A race
-# observes those whose ``when`` is true.
-OBSERVATIONS: tuple[ObservedField | Callable[[VehicleModel, Observation], ObservedField], ...] = (
-    ObservedField("position", 3, "m", "gate", 8.0, _position, has_history=True),
-    ObservedField("velocity", 3, "m/s", "gate", 16.0, _velocity, has_history=True),
-    ObservedField(
-        "attitude",
-        3,
-        "rad",
-        "gate",
-        4.0,
-        _attitude,
-        has_history=True,
-        when=_is("attitude", "euler"),
-    ),
-    ObservedField(
-        "rotation",
-        6,
-        "",
-        "gate",
-        2.0,
-        _rotation,
-        has_history=True,
-        when=_is("attitude", "rotation"),
-    ),
-    ObservedField("rates", 3, "rad/s", "body", 16.0, _rates, has_history=True),
-    _actuators,
-    ObservedField("next_position", 3, "m", "gate", 8.0, _next_position),
-    ObservedField("next_yaw", 1, "rad", "gate", 4.0, _next_yaw, when=_is("wrap_next_yaw", True)),
-    ObservedField(
-        "next_yaw_unwrapped",
-        *(1, "rad", "gate", 8.0, _next_yaw_unwrapped),
-        when=_is("wrap_next_yaw", False),
-    ),
-    *(field for pair in NEXT_FIELDS for field in pair),
-    lambda model, _: ObservedField(
-        LAST_ACTION,
-        *(model.action_size, "", "", 1.0, _last_action, _command_range),
-        has_history=True,
-        when=_is("last_action", True),
-    ),
-    functools.partial(_external, "moment_ext", "N m", "xyz"),
-    functools.partial(_external, "force_ext", "m/s^2", "z"),
-    lambda _, observed: ObservedField(
-        HIGHEST_RPM,
-        *(1, "rpm", "body", 2.0, functools.partial(_highest_rpm, observed.highest_rpm)),
-        scale=_limit_range,
-        when=lambda observed, _, battery: battery and observed.highest_rpm != NONE,
-    ),
-    lambda model, _: ObservedField(
-        CONSTANTS,
-        *(len(model.constant_names), "", "", 8.0, _constants, _constant_range),
-        when=_is("constants", True),
-    ),
-)
 
 
 @functools.cache  # the functions of equal fields are the same, so that programs are reused
 def fields_of(
     model: VehicleModel, observed: Observation = PUBLISHED
 ) -> Mapping[str, ObservedField]:
-    """Every field that a race of a vehicle model can give, by name.
+    """Every field that a race of a vehicle model can give, by name, in the order of an observation.
 
     ``observed`` says where disturbances and the battery's limit come from.
     """
-    rows = (row if isinstance(row, ObservedField) else row(model, observed) for row in OBSERVATIONS)
-    return {field.name: field for field in rows}
+    bind, source, field = functools.partial, observed.disturbance, ObservedField
+    moment, force = (bind(_half_widths, names) for names in DISTURBANCES.values())
+    limit = bind(_highest_rpm, observed.highest_rpm)
+    span = bind(_actuator_range, observed.actuator_range)
+    table = [
+        field("position", 3, "m", "gate", 8.0, _position, has_history=True),
+        field("velocity", 3, "m/s", "gate", 16.0, _velocity, has_history=True),
+        field("attitude", 3, "rad", "gate", 4.0, _attitude, has_history=True),
+        field("rotation", 6, "", "gate", 2.0, _rotation, has_history=True),
+        field("rates", 3, "rad/s", "body", 16.0, _rates, has_history=True),
+        field(*model.actuators, "body", 2.0, _actuators, span, has_history=True),
+        field("next_position", 3, "m", "gate", 8.0, _next_position),
+        field("next_yaw", 1, "rad", "gate", 4.0, _next_yaw),
+        field("next_yaw_unwrapped", 1, "rad", "gate", 8.0, _next_yaw_unwrapped),
+    ]
+    for count in AHEAD:
+        place, yaw = bind(_position_beyond, count), bind(_yaw_beyond, count)
+        table.append(field(f"next{count}_position", 3, "m", "gate", 16.0, place))
+        table.append(field(f"next{count}_yaw", 1, "rad", "gate", 4.0, yaw))
+    action, constants = model.action_size, len(model.constant_names)
+    table += [
+        field(LAST_ACTION, action, "", "", 1.0, _last_action, _command_range, has_history=True),
+        field("moment_ext", 3, "N m", "body", 2.0, bind(_moment, source), moment, source),
+        field("force_ext", 1, "m/s^2", "body", 2.0, bind(_force_z, source), force, source),
+        field(HIGHEST_RPM, 1, "rpm", "body", 2.0, limit, _limit_range),
+        field(CONSTANTS, constants, "", "", 8.0, _constants, _constant_range),
+    ]
+    return {row.name: row for row in table}
+
+
+def _conditions(
+    model: VehicleModel, observed: Observation, battery: bool = False
+) -> dict[str, bool]:
+    """Whether a race observes a field, by name, of those that not every race observes."""
+    ahead = {f"next{count}": observed.gates_ahead >= count for count in AHEAD}
+    return {
+        "attitude": observed.attitude == "euler",
+        "rotation": observed.attitude == "rotation",
+        model.actuators.name: observed.actuators,
+        "next_yaw": observed.wrap_next_yaw,
+        "next_yaw_unwrapped": not observed.wrap_next_yaw,
+        **{f"{gate}_{x}": used for gate, used in ahead.items() for x in ("position", "yaw")},
+        LAST_ACTION: observed.last_action,
+        **dict.fromkeys(DISTURBANCES, model.disturbed),
+        HIGHEST_RPM: battery and observed.highest_rpm != NONE,
+        CONSTANTS: observed.constants,
+    }
 
 
 def make_layout(
@@ -291,15 +254,15 @@ def make_layout(
 ) -> Layout:
     """The observation of a vehicle model in the race; by default that of the publication.
 
-    It has the fields of ``OBSERVATIONS`` that ``observed`` asks for, then the history. ``extra``
+    It has the fields of ``fields_of`` that ``observed`` asks for, then the history. ``extra``
     are the objects that ``observed.extra`` names, loaded; they are at the end. The limit of a
     ``battery`` is observed where there is one.
 
     Raises:
         InputError: two fields of one name.
     """
-    fields = fields_of(model, observed)
-    now = [f for f in fields.values() if f.when is None or f.when(observed, model, battery)]
+    fields, used = fields_of(model, observed), _conditions(model, observed, battery)
+    now = [field for name, field in fields.items() if used.get(name, True)]
     past = []
     for lag in observed.history.lags if observed.history else ():
         for name in observed.history.fields if observed.history else ():
@@ -316,11 +279,6 @@ def history_names(model: VehicleModel, observed: Observation) -> list[str]:
 
     They are the observed ones of the vehicle's motion, and its actuators and actions in any case.
     """
-    always = (model.actuators.name, LAST_ACTION)
-    fields = [f for f in fields_of(model, observed).values() if f.has_history]
-    names = [
-        f.name
-        for f in fields
-        if f.when is None or f.name in always or f.when(observed, model, False)
-    ]
-    return [*names, ACTUATORS]
+    used = _conditions(model, observed) | {model.actuators.name: True, LAST_ACTION: True}
+    fields = fields_of(model, observed).items()
+    return [*(x for x, field in fields if field.has_history and used.get(x, True)), ACTUATORS]
