@@ -29,9 +29,10 @@ from quadjax.evaluation.rows import interval
 
 
 def cell(values: np.ndarray, sign: str = "") -> str:
-    """Mean and interval of numbers of drones (drones,)."""
+    """Mean and interval of numbers of drones (drones,); "-" for none, the number itself for one."""
     middle, half = interval(values)
-    return f"{middle:{sign}.2f} ± {half:.2f}"
+    mean = f"{middle:{sign}.2f}" if np.isfinite(middle) else "-"
+    return f"{mean} ± {half:.2f}" if np.isfinite(half) else mean
 
 
 def finished(laps: Sequence[Any]) -> str:
@@ -63,6 +64,8 @@ def by_drone(read: Read, folder: Path, drones: Sequence[int]) -> str:
         counts = (finished(laps[i : i + 1]) for laps in flown.values())
         pairs = zip((f"{indi[i]:.2f}", f"{e2e[i]:.2f}"), counts, strict=True)
         rows.append((f"{drone}", limit, *(x for p in pairs for x in p), f"{(indi - e2e)[i]:.2f}"))
+    totals = ((cell(times), finished(flown[name])) for name, times in ((TUNED, indi), (E2E, e2e)))
+    rows.append(("mean", "", *(x for pair in totals for x in pair), cell(indi - e2e)))
     return table(rows)
 
 
