@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from quadjax.config.assembly import vehicle_model
+from quadjax.config.checks import check_drone
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, prefixed
@@ -77,9 +78,15 @@ class Condition(Section):
     seed: int = Field(0, ge=0, le=MAX_SEED, description="added to the seed of the evaluation")
 
     def race(self, config: Config) -> Config:
-        """The race of the condition, without its damage; see ``changed``."""
+        """The race of the condition, without its damage; see ``changed``.
+
+        Raises:
+            InputError: an unknown key or constant, or a drone that cannot fly.
+        """
         with prefixed(f"condition {self.label}"):
-            return changed(config, self.overrides)
+            race = changed(config, self.overrides)
+            check_drone(race)
+        return race
 
     def on_plant(self, plant: "PlantConfig") -> "PlantConfig":
         """The plant of the condition.

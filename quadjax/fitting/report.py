@@ -223,9 +223,10 @@ def _choices(result: Fit) -> str:
     if result.config.residual.seeds == 1:
         lines.append("residual.seeds is 1: gains are not compared with the spread between seeds")
     rejected = {axis: c.rejected for axis, c in fit.choices.items() if c.rejected}
-    return "\n".join(
-        [*lines, *(f"rejected: {a}: {reason}; written as zero" for a, reason in rejected.items())]
-    )
+    lines += [f"rejected: {a}: {reason}; written as zero" for a, reason in rejected.items()]
+    if len(rejected) == len(fit.choices):
+        lines.append("the written residual adds nothing: train without +residual")
+    return "\n".join(lines)
 
 
 def write_figures(result: Fit, folder: Path) -> list[Path]:

@@ -52,6 +52,12 @@ def scale_residual(residual: Residual, gain: jax.Array) -> Residual:
     return residual.replace(thrust=scale(residual.thrust), moment=scale(residual.moment))
 
 
+def adds_nothing(residual: Residual) -> bool:
+    """Whether every output is zero, as ``quadjax fit`` writes one that it rejects."""
+    last = (residual.thrust[-1], residual.moment[-1])
+    return not any(np.any(x) for x in jax.tree.leaves(last))
+
+
 def residual_force_moment(
     residual: Residual, rpm: Rotors, body_velocity: Vec3, body_rates: Vec3
 ) -> tuple[jax.Array, Vec3]:

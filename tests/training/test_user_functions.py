@@ -10,6 +10,7 @@ from quadjax import Field, Learner, LearnerSection, TrainState
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.training.run import train
+from quadjax.vehicle.residual import read_residual, scale_residual, write_residual
 from tests.commands import run
 from tests.race.support import BLANK
 
@@ -87,3 +88,12 @@ def test_an_error_of_a_users_learner_keeps_its_traceback(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(NameError, match="name 'undefined' is not defined"):
         run("train", BLANK, "learner.algorithm=late:Late", *SMALL)
+
+
+def test_a_residual_of_zeros_says_how_to_train_without_it(tmp_path):
+    zero = scale_residual(read_residual("standin_residual.npz"), 0.0)
+    write_residual(path := tmp_path / "residual.npz", zero, {})
+    config = load_config("e2e +residual", [*SMALL, f"vehicle.residual={path}"])
+    with pytest.raises(InputError, match="residual.npz adds nothing.*leave out"):
+        train(config, tmp_path / "run", progress=False)
+    assert not (tmp_path / "run").exists()
