@@ -108,6 +108,24 @@ def derivative(values: np.ndarray, rate: float) -> np.ndarray:
     return slope
 
 
+def euler_matrices(angles: np.ndarray) -> np.ndarray:
+    """Rotations (.., 3, 3) by roll, pitch and yaw (.., 3), rad, as of ``Rotation`` with "ZYX"."""
+    (sin_r, sin_p, sin_y), (cos_r, cos_p, cos_y) = (
+        np.moveaxis(function(angles), -1, 0) for function in (np.sin, np.cos)
+    )
+    matrix = np.empty((*angles.shape, 3))
+    matrix[..., 0, 0] = cos_y * cos_p
+    matrix[..., 0, 1] = cos_y * sin_p * sin_r - sin_y * cos_r
+    matrix[..., 0, 2] = cos_y * sin_p * cos_r + sin_y * sin_r
+    matrix[..., 1, 0] = sin_y * cos_p
+    matrix[..., 1, 1] = sin_y * sin_p * sin_r + cos_y * cos_r
+    matrix[..., 1, 2] = sin_y * sin_p * cos_r - cos_y * sin_r
+    matrix[..., 2, 0] = -sin_p
+    matrix[..., 2, 1] = cos_p * sin_r
+    matrix[..., 2, 2] = cos_p * cos_r
+    return matrix
+
+
 def rotate(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Vectors (.., n, 3) by matrices (.., n, 3, 3)."""
     return np.einsum("...ij,...j->...i", matrix, vector)
@@ -282,10 +300,8 @@ class Evidence:
         values[..., :3] = values[..., :3] @ matrices.swapaxes(1, 2)
         if quantity != "attitude":
             return values
-        flat = values.reshape(-1, values.shape[-1])
         if form == "quaternion":
-            rotation = Rotation.from_quat(flat)
-        else:
-            body, world = self.frames
-            rotation = TO_NED[world] * Rotation.from_euler("ZYX", flat[:, ::-1]) * FROM_FRD[body]
-        return rotation.as_matrix().reshape(*values.shape[:2], 3, 3)
+            flat = Rotation.from_quat(values.reshape(-1, 4)).as_matrix()
+            return flat.reshape(*values.shape[:2], 3, 3)
+        body, world = self.frames
+        return TO_NED[world].as_matrix() @ euler_matrices(values) @ FROM_FRD[body].as_matrix()

@@ -130,11 +130,16 @@ def test_columns_of_something_else_are_refused(path):
 
 @pytest.mark.slow
 @each_flight
-def test_every_fault_of_a_real_flight_is_refused(path):
-    """But for those that a flight almost at a steady height and heading has no evidence of."""
+def test_faults_of_a_real_flight_are_refused(path):
+    """Every fault on two of the four flights, but for what a steady flight has no evidence of."""
     columns = columns_of_file(path)
     log_of_columns(columns, LogsConfig(), "flight")
-    missed = accepted(columns, "plain", "flight")
+    first = sorted(FLIGHTS.glob("*.csv")).index(path) % 2
+
+    def half(columns, form):
+        return dict(itertools.islice(faults(columns, form).items(), first, None, 2))
+
+    missed = accepted(columns, "plain", "flight", half)
     assert len(missed) <= 2
     for name, unchecked in missed.items():
         assert repr(name.split()[0].strip("-")) in unchecked
