@@ -95,15 +95,15 @@ def flights_figure(
     reach = 0.055 * float(np.ptp([gate.position for gate in gates], axis=0).max())
     draw_gates(path, gates, reach)
     path.invert_yaxis()
-    path.set(xlabel="x, north [m]", ylabel="y, east [m]")
-    labels = ("speed [m/s]", "roll [deg]", "pitch [deg]", "commands")
+    path.set(xlabel="x, north (m)", ylabel="y, east (m)")
+    labels = ("speed (m/s)", "roll (deg)", "pitch (deg)", "commands")
     for axis, label in zip(axes, labels, strict=True):
         axis.set_ylabel(label)
-    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlabel("time (s)")
     if two:
         result, axis = compare(*list(flights.values())[:2]), whole.add_subplot(layout[3, 0])
         axis.plot(result.distance, 1e3 * result.lost, color=SERIES[1])
-        axis.set(xlabel="distance along the best known flight [m]", ylabel="time lost [ms]")
+        axis.set(xlabel="distance along the best known flight (m)", ylabel="time lost (ms)")
         for end in np.cumsum(result.length)[:-1]:
             axis.axvline(end, color=MUTED, linewidth=0.7, linestyle=":")
     for axis in whole.axes:
@@ -112,7 +112,7 @@ def flights_figure(
         axis.yaxis.label.set_color(INK)
     head(path, columns=2)
     signals = [(signal[0].replace("_", " "), signal[1]) for signal in problem.model.commands]
-    names = [name for name, size in signals for _ in range(size)]
+    names = [f"{name} {i + 1}" if n > 1 else name for name, n in signals for i in range(n)]
     axes[-1].set_yticks(0.5 - np.arange(len(names)), names, fontsize="x-small")
     return whole
 
