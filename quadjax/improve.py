@@ -29,7 +29,7 @@ from quadjax.plant.flights import plan_logs
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
 from quadjax.race.rules import HIT_A_GATE
-from quadjax.refit import Model, changes, check_speeds, margin_of, refit, states_of_logs
+from quadjax.refit import Model, changes, margin_of, refit, states_of_logs
 from quadjax.training.build import initial_policy
 from quadjax.training.fine_tuning import fine_tuning
 from quadjax.training.result import is_finished, read_summary
@@ -197,8 +197,6 @@ def learn(setting: Setting, folder: Path, report: Report) -> Model:
     """
     before = Round.first(setting)
     logs = [read_log(file, setting.fit.logs) for file in setting.logs]
-    if not (folder / "model.json").exists():
-        check_speeds(logs, before.model, setting.fit.logs.max_scale_error)
     model = _refitted(setting, before, setting.logs, folder, report)
     if not model.rejection:
         after = dataclasses.replace(before, model=model)

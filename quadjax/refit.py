@@ -124,24 +124,6 @@ class Model:
             ) from None
 
 
-def check_speeds(logs: Sequence[Flight], present: Model, scale_error: float) -> None:
-    """Refuse logs of another drone: with speeds beyond the range that the policy commands.
-
-    Raises:
-        InputError: naming the log, its speeds and the range.
-    """
-    low, high = present.constants["rpm_min"], present.constants["rpm_max"]
-    for log in logs:
-        if "actuators" not in log.signals:  # the fit rejects it
-            continue
-        fastest = float(np.percentile(log["actuators"], 99.0))
-        if fastest > high * (1.0 + scale_error):
-            raise InputError(
-                f"{log.name}: speeds of up to {fastest:.5g} rpm; the config's vehicle commands "
-                f"{low:g} to {high:g} (is it this drone? are logs.units.rpm right?)"
-            )
-
-
 def refit(
     files: Sequence[Path],
     recent: Sequence[Path],

@@ -109,7 +109,7 @@ def fit(
     model = "racing" if vehicle.model == "racing" else "motor"
     base = with_body(vehicle, config.body, model)
     logs = read_logs(config.logs, folder, report)
-    _check_speeds(config, logs, model)
+    check_speeds(config, logs, model)
     report("preparing the samples")
     fits = _Fits(config, logs, base, model)
     report("fitting the constants")
@@ -274,7 +274,7 @@ class _Fits:
         return replace(vehicle, fitted_speed=highest_speed(fitted))
 
 
-def _check_speeds(config: FitConfig, logs: list[Flight], model: str) -> None:
+def check_speeds(config: FitConfig, logs: Sequence[Flight], model: str) -> None:
     """Refuse logs that lack what the model needs, or are of another drone.
 
     Raises:
@@ -290,11 +290,11 @@ def _check_speeds(config: FitConfig, logs: list[Flight], model: str) -> None:
             )
         if config.body.rpm_range is None or not measured:
             continue
-        fastest = float(np.percentile(log["actuators"], 99.0))
-        if fastest > config.body.rpm_range[1] * (1.0 + config.logs.max_scale_error):
+        (low, high), fastest = config.body.rpm_range, float(np.percentile(log["actuators"], 99.0))
+        if fastest > high * (1.0 + config.logs.max_scale_error):
             raise InputError(
-                f"{path}: speeds of up to {fastest:.5g} rpm, body.rpm_range is "
-                f"{list(config.body.rpm_range)}; is logs.units.rpm right?"
+                f"{path}: speeds of up to {fastest:.5g} rpm, those of the vehicle are {low:g} to "
+                f"{high:g} (body.rpm_range); is it this drone? is logs.units.rpm right?"
             )
 
 

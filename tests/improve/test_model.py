@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
+from quadjax.fitting.config import BodyConfig, FitConfig
+from quadjax.fitting.fit import check_speeds
 from quadjax.fitting.flight_log import log_flight, read_log
 from quadjax.fitting.motors import BatteryFit
 from quadjax.fitting.nominal import AXES
@@ -19,7 +21,6 @@ from quadjax.refit import (
     SPEEDS,
     STATES,
     Model,
-    check_speeds,
     clearances,
     margin_of,
     refit,
@@ -124,12 +125,11 @@ def flown(config, sideways=0.0, name="flight"):
 
 
 def test_logs_of_a_drone_that_turns_faster_than_the_policy_commands_are_refused():
-    config = race()
-    own = Model.of(config)
-    slow = dataclasses.replace(own, constants=own.constants | {"rpm_max": 6000.0})
-    check_speeds([flown(config)], own, 0.1)
-    with pytest.raises(InputError, match="up to 7000 rpm; the config's vehicle commands 3000 to"):
-        check_speeds([flown(config)], slow, 0.1)
+    logs = [flown(race())]
+    check_speeds(FitConfig(body=BodyConfig(rpm_range=(3000.0, 6000.0))), logs, "motor")
+    slow = FitConfig(body=BodyConfig(rpm_range=(3000.0, 5000.0)))
+    with pytest.raises(InputError, match="up to 7000 rpm, those of the vehicle are 3000 to 5000"):
+        check_speeds(slow, logs, "motor")
 
 
 def test_states_of_logs_are_starts_with_the_gate_ahead(tmp_path):
