@@ -22,6 +22,16 @@ MEASUREMENTS, SAMPLES = 16, 64  # of an estimator: the measurements are repeated
 
 
 @dataclasses.dataclass(frozen=True)
+class Tables:
+    """Integers of a policy, proven, from which the self-tests follow."""
+
+    network: FixedNetwork  # of a file: without the real values of its units
+    race: RaceTables
+    estimator: EstimatorTables | None  # of the disturbances
+    battery: BatteryTables | None  # of the highest rpm
+
+
+@dataclasses.dataclass(frozen=True)
 class Cases:
     """Self-tests of a policy, of 32-bit words (rows, columns); without an estimator no rows of it.
 
@@ -44,26 +54,17 @@ class Cases:
 
 
 def make_cases(
-    network: FixedNetwork,
-    race: RaceTables,
-    estimator: EstimatorTables | None,
-    battery: BatteryTables | None,
-    observations: np.ndarray | None,
-    states: np.ndarray,
-    targets: np.ndarray,
+    tables: Tables, observations: np.ndarray | None, states: np.ndarray, targets: np.ndarray
 ) -> Cases:
     """The self-tests of a policy.
 
     Args:
-        network: proven integers.
-        race: observation and track.
-        estimator: of the disturbances.
-        battery: of the highest rpm.
+        tables: of the policy.
         observations: (n, inputs) simulated observations, if there are any.
         states: (n, state_size) simulated states.
         targets: (n,) the target gate of each.
     """
-    rng = np.random.default_rng(0)
+    rng, race = np.random.default_rng(0), tables.race
     ranges = np.ldexp(1.0, np.asarray(race.exponents))
     random = rng.uniform(-0.5, 0.5, (RANDOM_STATES, len(ranges))) * ranges
     random = random.astype(np.float32)
@@ -73,18 +74,17 @@ def make_cases(
     pick = np.linspace(0, len(states) - 1, SIMULATED_STATES if len(states) else 0).astype(int)
     states = states if len(states) else random[:0]
     return answered(
-        *(network, race, estimator, battery, _inputs(network, observations)),
+        tables,
+        _inputs(tables.network, observations),
         np.concatenate([random, states[pick].astype(np.float32)]),
         np.concatenate([gates, np.ravel(targets)[pick]]).astype(int),
-        *(_measurements(estimator), _samples(battery)),
+        _measurements(tables.estimator),
+        _samples(tables.battery),
     )
 
 
 def answered(
-    network: FixedNetwork,
-    race: RaceTables,
-    estimator: EstimatorTables | None,
-    battery: BatteryTables | None,
+    tables: Tables,
     inputs: np.ndarray,
     states: np.ndarray,
     targets: np.ndarray,
@@ -92,7 +92,7 @@ def answered(
     samples: np.ndarray,
 ) -> Cases:
     """The cases of inputs int32, states float32 and targets, and of the estimators' samples."""
-    rows = emulator.forward_rows(network, inputs)
+    race, rows = tables.race, emulator.forward_rows(tables.network, inputs)
     count, rounds = len(states), HISTORY_ROUNDS if race.history else 0
     gates = np.where((targets >= 0) & (targets < race.gates), targets, 0)
     tiled = np.tile(states, (1 + rounds, 1)), np.tile(gates, 1 + rounds)
@@ -107,9 +107,9 @@ def answered(
         "observed": observed[:count],
         "status": status[:count],
         "measurements": measurements,
-        "estimates": _estimates(estimator, measurements),
+        "estimates": _estimates(tables.estimator, measurements),
         "samples": samples,
-        "digests": _digests(battery, samples),
+        "digests": _digests(tables.battery, samples),
     }
     words = {name: np.ascontiguousarray(x).view(np.uint32) for name, x in arrays.items()}
     return Cases(**words, history_digest=int(word_digest(rest)[0]) if rounds else DIGEST_START)

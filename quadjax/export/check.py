@@ -35,7 +35,7 @@ def check(policy: FixedPolicy) -> None:
     network, race = policy.network, policy.race
     _require(1 <= network.output_shift <= WORD, f"an output shift of {network.output_shift}")
     _require(0 <= network.fraction_bits <= 30, f"{network.fraction_bits} fraction bits")
-    _require(policy.time_step > 0, "its time step")
+    _require(race.time_step > 0, "its time step")
     ends = (network.command_low, network.command_high)
     _require(bool(np.all(ends[0] <= ends[1]) and np.all(ends[0] > -(2**31))), "a command range")
     for name, exponents in race.fields.items():
@@ -117,8 +117,7 @@ def passes(policy: FixedPolicy) -> bool:
     floats = (cases.states.view("<f4"), cases.measurements.view("<f4"), cases.samples.view("<f4"))
     states, measurements, samples = floats
     targets = cases.targets[:, 0].astype(np.int64)
-    tables = (policy.network, policy.race, policy.estimator, policy.battery)
-    right = answered(*tables, inputs, states, targets, measurements, samples)
+    right = answered(policy, inputs, states, targets, measurements, samples)
     noise = policy.noise
     if noise is not None and noise != NoiseTables.of(noise.factors, noise.on_clamped):
         return False

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from quadjax.export import flights
 from quadjax.export.battery import make_battery
-from quadjax.export.cases import Cases, make_cases
+from quadjax.export.cases import Cases, Tables, make_cases
 from quadjax.export.disturbances import CUTOFF, SAMPLE_RATE, make_estimator
 from quadjax.export.flights import Rollouts
 from quadjax.export.inner_loop import FILE as INNER_LOOP
@@ -150,10 +150,11 @@ def convert_policy(
         assert race.params.battery is not None
         first = float(middle_limit(race.params.battery))
         battery = make_battery(vehicle.constants, first, options.sample_rate)
-    tables = (network, race_tables, estimator, battery)
+    tables = Tables(network, race_tables, estimator, battery)
     if cases is None:
         assert rollouts is not None
-        cases = make_cases(*tables, rollouts.observations, rollouts.states, rollouts.targets)
+        cases = make_cases(tables, rollouts.observations, rollouts.states, rollouts.targets)
     noise = make_noise(policy, network) if options.sampled else None
-    fixed = FixedPolicy(options.name, *tables, sha256(path), race.time_step, cases, noise)
+    names = (options.name, sha256(path))
+    fixed = FixedPolicy(network, race_tables, estimator, battery, *names, cases, noise)
     return Converted(policy, file, fixed, proof, rollouts, race, options)

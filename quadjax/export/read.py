@@ -170,8 +170,8 @@ class _Reader:
         if self._at != len(self._data):
             raise InputError(SIZES_DIFFER)
         source = header["source"].astype("<u4").tobytes().hex()
-        names = (_string(header["name"]), network, race, estimator, battery, source)
-        return FixedPolicy(*names, race.time_step, cases, noise)
+        tables = (network, race, estimator, battery)
+        return FixedPolicy(*tables, _string(header["name"]), source, cases, noise)
 
     def race(self, header: np.ndarray, vehicle: str) -> RaceTables:
         """State, observation and track."""

@@ -33,12 +33,12 @@ from typing import get_args
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.export.battery import MOTORS, BatteryTables
-from quadjax.export.cases import HISTORY_ROUNDS, MEASUREMENTS, SAMPLES, Cases
+from quadjax.export.battery import MOTORS
+from quadjax.export.cases import HISTORY_ROUNDS, MEASUREMENTS, SAMPLES, Cases, Tables
 from quadjax.export.disturbances import CHANNELS, FINE_BITS, MONOMIALS, EstimatorTables
 from quadjax.export.integers import WORD
 from quadjax.export.names import LONGEST_NAME
-from quadjax.export.network import FixedLayer, FixedNetwork
+from quadjax.export.network import FixedLayer
 from quadjax.export.noise import NoiseTables
 from quadjax.export.race_tables import (
     NUMBER,
@@ -103,16 +103,11 @@ BYTES_AT = _places(HEADER)["bytes"]
 
 
 @dataclasses.dataclass(frozen=True)
-class FixedPolicy:
+class FixedPolicy(Tables):
     """A policy as integers: what the words contain."""
 
     name: str  # of the table in C
-    network: FixedNetwork  # of a file: without the real values of its units
-    race: RaceTables
-    estimator: EstimatorTables | None  # of the disturbances
-    battery: BatteryTables | None  # of the highest rpm
     policy_hash: str  # SHA-256 of the policy file
-    time_step: float  # s
     cases: Cases
     noise: NoiseTables | None = None  # of a policy that samples its actions
 
@@ -168,7 +163,9 @@ def pack(policy: FixedPolicy) -> bytes:
     Raises:
         InputError: a policy that the format cannot represent.
     """
-    _check(policy)
+    shifts = np.concatenate([part.numbers["shift"] for part in policy.race.inputs])
+    if not np.all((shifts >= 1) & (shifts <= LARGEST_SHIFT)):
+        raise InputError(f"allowed: scales of 2^-1 to 2^-{LARGEST_SHIFT}")
     return sealed(b"".join(part.tobytes() for part in _parts(policy)))
 
 
@@ -177,20 +174,6 @@ def sealed(words: bytes) -> bytes:
     data = bytearray(words)
     data[BYTES_AT : BYTES_AT + 4] = np.uint32(len(data) + 4).tobytes()
     return bytes(data) + np.uint32(zlib.crc32(data)).tobytes()
-
-
-def _check(policy: FixedPolicy) -> None:
-    race = policy.race
-    unknown = [name for name in race.fields if name not in STATE_FIELDS]
-    if unknown:
-        raise InputError(f"{unknown[0]}: no state of a .qjp, allowed: {', '.join(STATE_FIELDS)}")
-    texts = {part.name: FIELD_BYTES for part in race.inputs} | {policy.name: NAME_BYTES}
-    for text, size in texts.items():
-        if len(text) >= size:
-            raise InputError(f"name {text}: allowed: up to {size - 1} letters")
-    shifts = np.concatenate([part.numbers["shift"] for part in race.inputs])
-    if policy.network.outputs != COMMANDS or not np.all((shifts >= 1) & (shifts <= LARGEST_SHIFT)):
-        raise InputError(f"allowed: {COMMANDS} commands, and scales of 2^-1 to 2^-{LARGEST_SHIFT}")
 
 
 def _text(data: str, size: int) -> np.ndarray:
@@ -237,7 +220,7 @@ def _parts(policy: FixedPolicy) -> Iterator[np.ndarray]:
         kind=COMMAND_KINDS.get(network.model.commands[0].name, RATES),
         output_shift=network.output_shift,
         fraction_bits=network.fraction_bits,
-        period_ns=round(policy.time_step * 1e9),
+        period_ns=round(race.time_step * 1e9),
         network_tests=len(cases.inputs),
         race_tests=len(cases.states),
         history_digest=cases.history_digest,

@@ -11,7 +11,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.export import flights, race_source
 from quadjax.export.battery import make_battery
-from quadjax.export.cases import make_cases
+from quadjax.export.cases import Tables, make_cases
 from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.convert import export_c
 from quadjax.export.disturbances import SAMPLE_RATE, make_estimator
@@ -127,8 +127,8 @@ def fixed_policy(
     if battery is None and HIGHEST_RPM in policy.layout:
         battery = make_battery(own.params.vehicle.constants, 10_000.0, SAMPLE_RATE)
     parts = (network, race, estimator, battery)
-    cases = make_cases(*parts, None, states, targets)
-    return FixedPolicy("made", *parts, "ab" * 32, own.time_step, cases)
+    cases = make_cases(Tables(*parts), None, states, targets)
+    return FixedPolicy(*parts, "made", "ab" * 32, cases)
 
 
 @functools.cache

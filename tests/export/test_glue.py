@@ -47,7 +47,7 @@ class Glue:
         self.autopilot = Autopilot(self.sources, folder, FIRMWARE_FLAGS[target])
         self.wrong = self.autopilot.wrong
         frequency = 1e9 / self.sources.call_ns
-        self.calls, self._now = calls_per_step(frequency, self.fixed.time_step), 0.0
+        self.calls, self._now = calls_per_step(frequency, self.fixed.race.time_step), 0.0
 
     def step(self, vehicle, flies=True):
         """The command at the end of a step of the policy."""

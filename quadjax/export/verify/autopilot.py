@@ -92,7 +92,7 @@ def compare_glue(sources: Sources, policy: FixedPolicy, work: Path) -> str:
     target, glue = sources.target, Autopilot(sources, work)
     require(glue.wrong is None, f"the glue rejects the policy: {glue.wrong}")
     held = policy.race.box.layout.counts_steps or not target.every_call
-    calls = calls_per_step(1e9 / sources.call_ns, policy.time_step) if held else 1
+    calls = calls_per_step(1e9 / sources.call_ns, policy.race.time_step) if held else 1
     emulated, rows = PilotEmulator(policy, calls), random_vehicles(policy, GLUE_STEPS)
     network = policy.network
     span = (network.command_high - network.command_low) * 0.5**network.fraction_bits

@@ -95,7 +95,7 @@ class Sources:
         estimator = policy.battery or policy.estimator
         if estimator is not None:
             return cls(target, work, estimator.period_ns)
-        return cls(target, work, round(1e9 / (target.calls or 1.0 / policy.time_step)))
+        return cls(target, work, round(1e9 / (target.calls or 1.0 / policy.race.time_step)))
 
     @property
     def include(self) -> Path:
