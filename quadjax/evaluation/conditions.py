@@ -15,7 +15,7 @@ A file of ``configs/conditions`` has a list ``conditions`` and how each of them 
 import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import Annotated, Literal, Self
 
 from quadjax.config.assembly import vehicle_model
 from quadjax.config.checks import check_drone
@@ -36,12 +36,10 @@ from quadjax.core.sections import (
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.core.yaml_files import merge_trees, parse_overrides, parse_yaml
 from quadjax.evaluation.table import COLUMNS
+from quadjax.plant.config import PlantConfig, without_effects
 from quadjax.vehicle import motor
 from quadjax.vehicle.protocol import VehicleModel, VehicleParams
 from quadjax.vehicle.rigid_body import BodyState
-
-if TYPE_CHECKING:
-    from quadjax.plant.config import PlantConfig
 
 Start = Literal["hover", "random", "around", "before_gate"]
 Factor = Annotated[float, Field(gt=0.0, le=10.0)]
@@ -88,14 +86,12 @@ class Condition(Section):
             check_drone(race)
         return race
 
-    def on_plant(self, plant: "PlantConfig") -> "PlantConfig":
+    def on_plant(self, plant: PlantConfig) -> PlantConfig:
         """The plant of the condition.
 
         Raises:
             InputError: an unknown key or effect.
         """
-        from quadjax.plant.config import without_effects
-
         if self.only is not None:
             none, effects = without_effects(plant), plant.effects.model_dump()
             for name in self.only:

@@ -160,15 +160,13 @@ def _flight_at(
     count = int(np.isfinite(time).sum())
     passed, ends = arrays["passages"][index].reshape(-1, 3), arrays["lap_ends"][index]
     signals = {}
-    for name, (unit, labels, size) in (
-        (name, (record["unit"], record["labels"], record["size"]))
-        for name, record in about["signals"].items()
-    ):
+    for name, record in about["signals"].items():
+        unit, size = record["unit"], record["size"]
         values = arrays[name][index, :count, :size].astype(np.float64)
         if values.shape != (count, size):
             raise ValueError(f"{name} has the shape {values.shape}")
         unit = unit if isinstance(unit, str) else tuple(map(str, unit))
-        signals[name] = Signal(values, unit, tuple(map(str, labels)))
+        signals[name] = Signal(values, unit, tuple(map(str, record["labels"])))
     crash = about["crash"]
     return Flight(
         name=str(about["name"]),
