@@ -6,10 +6,13 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Optional
 
+import jax
 import numpy as np
 from scipy.special import stdtrit  # scipy.stats takes a second to import
 
-from quadjax.race.laps import OUT_OF_TIME, Laps, Trace
+from quadjax.core.vectors import safe_norm
+from quadjax.race.laps import OUT_OF_TIME, Laps, LapState
+from quadjax.race.types import Choices, RaceParams
 
 NAMED = 8  # runs that ended alike, of which the numbers are named
 CONFIDENCE = 0.95  # of an interval
@@ -141,17 +144,26 @@ class Row:
         )
 
 
-def speeds_of(trace: Trace, laps: Laps, time_step: float, limit: float) -> Speeds:
-    """Speeds of recorded flights.
+def speed_record(
+    _choices: Choices, _params: RaceParams, race: LapState, _action: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Of each drone (runs,), for ``fly_race``: speed, m/s, target gate, and whether it is over."""
+    return safe_norm(race.state.drone.velocity), race.state.target, race.over
+
+
+def speeds_of(
+    record: tuple[jax.Array, jax.Array, jax.Array], laps: Laps, time_step: float, limit: float
+) -> Speeds:
+    """Speeds of flights.
 
     Args:
-        trace: of the flights.
+        record: of ``speed_record``, (steps, runs) each, before each step.
         laps: of the flights.
         time_step: s.
         limit: m/s, that the time above is counted from.
     """
-    speed = np.linalg.norm(np.asarray(trace.velocity, np.float64), axis=1)[1:]  # after each step
-    going, target = ~np.asarray(trace.over)[:-1], np.asarray(trace.target)
+    speed, target, over = map(np.asarray, record)
+    speed, going = speed[1:].astype(np.float64), ~over[:-1]  # after each step
     first = time_step * (target != target[0]).argmax(axis=0)
     if not first.any():  # a track of one gate
         first = np.nan_to_num(laps.lap_times[:, 0])

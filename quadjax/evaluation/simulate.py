@@ -14,7 +14,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.evaluation.conditions import Condition, Conditions, damaged
 from quadjax.evaluation.published import LAPS, published_row
-from quadjax.evaluation.rows import Row, speeds_of
+from quadjax.evaluation.rows import Row, speed_record, speeds_of
 from quadjax.flights.flight import Flight, recorded_flights
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
@@ -90,12 +90,13 @@ def simulate(
     key, noise = jax.random.split(jax.random.key(protocol.seed))
     states, speeds = _starts(choices, params, key, layouts, protocol), None
     flights = (params, ready, states, noise, last)
-    flown, trace = race.fly_race(choices, actor, count, steps, protocol.speeds, *flights)
+    trace = speed_record if protocol.speeds else False
+    flown, recorded = race.fly_race(choices, actor, count, steps, trace, *flights)
     laps = race.laps_of(choices, flown, time_step, limit)
     gates = (protocol.gates or 0) % gate_count(params.track)
     laps = dataclasses.replace(laps, last_gates=gates)
-    if trace is not None:
-        speeds = speeds_of(trace, laps, time_step, config.vehicle.fitted_speed or math.inf)
+    if protocol.speeds:
+        speeds = speeds_of(recorded, laps, time_step, config.vehicle.fitted_speed or math.inf)
 
     def record() -> list[Flight]:
         _, trace = race.fly_race(choices, actor, count, steps, True, *flights)

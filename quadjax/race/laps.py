@@ -107,6 +107,7 @@ class LapState(struct.PyTreeNode):
 
 
 Carry = tuple[LapState, jax.Array]  # drones and the key of the next noise
+Recorder = Callable[[Choices, RaceParams, LapState, jax.Array], Any]
 
 
 class Trace(struct.PyTreeNode):
@@ -199,14 +200,18 @@ def fly_race(
     actor: Actor,
     laps: int,
     steps: int,
-    trace: bool,
+    trace: bool | Recorder,
     params: RaceParams,
     policy: object,
     state: RaceState,
     key: jax.Array,
     last: int | None = None,
-) -> tuple[LapState, Trace | None]:
-    """Fly from given states for at most ``steps`` steps; see ``fly_laps`` and ``begin``."""
+) -> tuple[LapState, Any]:
+    """Fly from given states for at most ``steps`` steps; see ``fly_laps`` and ``begin``.
+
+    A function as ``trace`` is called with the drones before each step, and returns what is recorded
+    in place of a ``Trace``.
+    """
     one = stepper(choices, actor, params, policy, last)
     carry = (begin(state, laps), key)
     if not trace:
@@ -217,9 +222,10 @@ def fly_race(
         )
         return race, None
 
-    def record(carry: Carry, _: None) -> tuple[Carry, Trace]:
+    def record(carry: Carry, _: None) -> tuple[Carry, Any]:
         following, action = one(carry)
-        return following, _trace(choices, params, carry[0], action)
+        recorder = trace if callable(trace) else _trace
+        return following, recorder(choices, params, carry[0], action)
 
     (race, _), recorded = jax.lax.scan(record, carry, None, steps)
     return race, recorded

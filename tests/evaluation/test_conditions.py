@@ -18,7 +18,7 @@ from quadjax.core.resources import preset_names
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.evaluation import plants, published
 from quadjax.evaluation.conditions import Condition, Damaged, damaged, read_conditions
-from quadjax.evaluation.rows import Row, Speeds, speeds_of
+from quadjax.evaluation.rows import Row, Speeds, speed_record, speeds_of
 from quadjax.evaluation.simulate import start_before_gate, unseen_tracks
 from quadjax.evaluation.table import condition_table, policy_table
 from quadjax.plant.config import PlantConfig
@@ -182,8 +182,11 @@ def test_the_speeds_of_a_race_are_those_of_its_flight():
     _, choices, params = rate_race()
     states = starting_states(choices, params, jax.random.key(0), 2, True, around=True)
     key = jax.random.key(1)
-    flown, trace = fly_race(choices, scripted, 1, 250, True, params, script(), states, key)
-    to_first, highest, above = speeds_of(trace, laps_of(choices, flown, 0.01, 8.0), 0.01, 2.0)
+    both = (True, speed_record)
+    (flown, trace), (_, record) = (
+        fly_race(choices, scripted, 1, 250, what, params, script(), states, key) for what in both
+    )
+    to_first, highest, above = speeds_of(record, laps_of(choices, flown, 0.01, 8.0), 0.01, 2.0)
     # Flights that follow on at the end of the script, and their states after each step.
     assert np.all((highest > 2.0) & (above > 0.2) & (above < 2.5))
     first = [int(np.flatnonzero(target != target[0])[0]) for target in trace.target.T]
