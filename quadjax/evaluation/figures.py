@@ -96,11 +96,6 @@ def space_figure(
 ) -> Figure:
     """Flights in perspective, colored by speed, with their shadows and the gates to size.
 
-    Args:
-        flights: one or more.
-        gates: of the track, in order of passage.
-        title: of the figure.
-
     Raises:
         InputError: no flight.
     """

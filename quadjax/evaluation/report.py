@@ -241,11 +241,7 @@ def _numbers(flight: Flight) -> dict[str, object]:
 def error_figure(flight: Flight, signals: Response, gates: int, title: str = "") -> Figure:
     """The signals with their limits and the errors of a flight over time, a row for each signal.
 
-    Args:
-        flight: the flight.
-        signals: of ``response``.
-        gates: of the track: passages are marked, the ends of laps by darker lines.
-        title: of the figure.
+    Passages of the ``gates`` of the track are marked, the ends of laps by darker lines.
     """
     figure = new_figure(9.6, 0.9 + 1.25 * len(signals.names))
     same_unit = len(set(signals.units)) == 1

@@ -19,12 +19,7 @@ class PilotEmulator:
     """
 
     def __init__(self, policy: FixedPolicy, calls: int) -> None:
-        """Start before the first call.
-
-        Args:
-            policy: the fixed-point policy.
-            calls: number of calls per step of the policy.
-        """
+        """Start before the first call; ``calls``: number of calls per step of the policy."""
         self._policy, self._calls, self._number = policy, calls, 0
         self._filters: Filters | None = None
         self._battery: Battery | None = None

@@ -113,14 +113,9 @@ def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> C
 
 
 def check_race(policy: Policy, race: OwnRace, file: Path) -> str:
-    """Check that a race is the one in the policy file, where the policy was trained.
+    """Check that a race is the one in the policy's file, where the policy was trained.
 
     Vehicle, residual, track, gate test and time step are compared.
-
-    Args:
-        policy: the policy.
-        race: the race of the export.
-        file: the policy file.
 
     Returns:
         The properties that were compared, as text for a report.

@@ -150,17 +150,10 @@ def state_sizes(layout: Layout, model: VehicleModel) -> dict[str, int]:
 
 
 def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RaceParams) -> RaceTables:
-    """The integers of a policy's observation on a track.
-
-    Args:
-        box: of the network's inputs, which the observation is scaled to.
-        policy: whose limits and scaling it has.
-        choices: whose vehicle model it has.
-        params: whose track and gate test it has.
+    """The integers of a policy's observation on a track, scaled to the box of the network's inputs.
 
     Raises:
-        InputError: a gate that is farther away than 2^15 m, or a next gate outside the network's
-            box.
+        InputError: a gate that is farther away than 2^15 m, or a next gate outside the box.
     """
     track = params.track
     position = np.stack([np.asarray(c, np.float64) for c in track.position.components()], axis=1)

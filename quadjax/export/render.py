@@ -40,13 +40,7 @@ def words_table(name: str, data: bytes) -> str:
 
 
 def policy_header(policy: FixedPolicy, data: bytes, facts: Iterable[str]) -> str:
-    """``NAME.h``: the words of a policy as a table, with what it observes.
-
-    Args:
-        policy: the policy.
-        data: its words.
-        facts: lines about where it comes from.
-    """
+    """``NAME.h``: the words of a policy as a table, its observation, and facts about its source."""
     box, guard = policy.network.box, policy.name.upper()
     lines = [f"{policy.name}: a quadcopter racing policy in fixed point, as words for qj.h.", ""]
     lines += [*facts, "", "Inputs, in this order, each within its range:"]
@@ -71,10 +65,8 @@ def policy_header(policy: FixedPolicy, data: bytes, facts: Iterable[str]) -> str
 def sizes_header(policy: FixedPolicy, any_policy: bool = False) -> str:
     """``qj_sizes.h`` for one policy: no buffer of the runtime is larger than it needs.
 
-    Args:
-        policy: the policy.
-        any_policy: the sizes of the largest policy that the runtime takes, for firmware that loads
-            files.
+    With ``any_policy`` the sizes of the largest policy that the runtime takes, for firmware that
+    loads files.
     """
     sampled = "" if policy.noise is None else "#define QJ_SAMPLED 1\n"
     if any_policy:

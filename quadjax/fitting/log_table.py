@@ -64,10 +64,7 @@ def read_head(path: Path | str, settings: bool = False) -> tuple[list[str], dict
 def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> LogTable:
     """Columns of a CSV file by name; the last row is left out if no line break ends it.
 
-    Args:
-        path: of the file.
-        names: of the columns to read.
-        settings: as of ``read_head``.
+    ``settings`` as of ``read_head``.
 
     Raises:
         InputError: no such file or column, an empty row, or a cell that is no number.

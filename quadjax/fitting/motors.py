@@ -255,12 +255,8 @@ def fit_rate_model(
     """Fit the rate-and-thrust model (INDI) over the flights with commanded rates and thrust.
 
     Drag is fitted to the accelerometer's other two axes. The commands' limits are choices, not
-    properties of the drone: those of the base vehicle are kept.
-
-    Args:
-        logs: the flights.
-        rows: of each, (n,) bool.
-        base: constants of the base vehicle.
+    properties of the drone: those of the base vehicle are kept. ``rows`` (n,) bool of each flight
+    are used.
 
     Returns:
         The estimates; empty if no flight has the commands.
@@ -312,10 +308,7 @@ def fit_motors(
 ) -> Estimate:
     """Fit the motor map and time constant of a racing quadcopter, in the order of ``MAP``.
 
-    Args:
-        logs: flights; those with motor commands are used.
-        rows: of each, (n,) bool.
-        base: values without evidence in the logs.
+    Rows (n,) bool of flights with motor commands are used; ``base`` has values without evidence.
     """
     values = {name: float(getattr(base, name)) for name in MAP}
     pairs = zip(logs, rows, strict=True)

@@ -121,12 +121,7 @@ def nominal(constants: Constants, motion: ModelInputs) -> np.ndarray:
 
 
 def regressors(motion: ModelInputs, constants: Constants) -> dict[str, np.ndarray]:
-    """For each axis a column per constant of ``EQUATIONS``: (n, k).
-
-    Args:
-        motion: inputs of the model.
-        constants: of the model, whose type selects the equations.
-    """
+    """For each axis a column per constant of the ``EQUATIONS`` of a model's constants: (n, k)."""
     axes = EQUATIONS[type(constants)].constants
     zero = replaced(constants, dict.fromkeys((n for names in axes.values() for n in names), 0.0))
     return {

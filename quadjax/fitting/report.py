@@ -249,12 +249,8 @@ def write_figures(result: Fit, folder: Path) -> list[Path]:
 def traces_figure(result: Fit, part: Prediction, title: str = "") -> Figure:
     """Errors of the nominal model, and of it with the residual, against time; a panel per axis.
 
-    The signals themselves differ by less than a line's width. Each panel has the RMSE of both.
-
-    Args:
-        result: of the fit.
-        part: rows to draw, such as one of ``result.held_out``.
-        title: of the figure.
+    Of rows such as one of ``result.held_out``. The signals themselves differ by less than a line's
+    width. Each panel has the RMSE of both.
     """
     figure = new_figure(10, 11)
     panels = figure.subplots(len(AXES), 1, sharex=True)

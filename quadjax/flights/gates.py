@@ -14,9 +14,7 @@ LAST_SECONDS = 0.05  # a path may end so long before its last gate, whose passag
 def clearance(gate: GateSection, place: np.ndarray) -> np.ndarray:
     """Distance (..) from the edge of a gate's opening, m, negative outside.
 
-    Args:
-        gate: the gate.
-        place: (.., 2) along its width and its height, from its center, m.
+    ``place`` (.., 2) is along its width and its height, from its center, m.
     """
     if gate.shape == "circle":
         return 0.5 * gate.size[0] - np.linalg.norm(place, axis=-1)

@@ -165,11 +165,9 @@ def _noise(sensors: SensorsConfig, sample_rate: float) -> np.ndarray:
 
 
 def init(params: EkfParams, measured: Measured) -> EkfState:
-    """The filter at the start, from a pose; velocity and biases are unknown.
+    """The filter at the start; velocity and biases are unknown.
 
-    Args:
-        params: of the filter.
-        measured: the first sample, with a pose without delay.
+    ``measured`` is the first sample, with a pose without delay.
     """
     zero = measured.gyro * 0.0
     motion = MotionEstimate(measured.fix.position, zero, measured.fix.attitude, zero, zero)
@@ -179,13 +177,7 @@ def init(params: EkfParams, measured: Measured) -> EkfState:
 
 
 def update(params: EkfParams, state: EkfState, measured: Measured) -> EkfState:
-    """Process the next sample of one drone.
-
-    Args:
-        params: of the filter.
-        state: from ``init`` or the last ``update``.
-        measured: the sample; its pose is used if it is ``fresh``.
-    """
+    """Process the next sample of one drone; its pose is used if it is ``fresh``."""
     newest = InertialSample(measured.gyro, measured.accelerometer, params.step)
     aligned = InertialSample(
         newest.gyro + (state.newest.gyro - newest.gyro) * params.gyro_shift,
@@ -210,12 +202,7 @@ def predict(
 ) -> tuple[MotionEstimate, jax.Array]:
     """Estimate and covariance ``F P F^T + Q`` from one inertial sample to the next.
 
-    Args:
-        params: of the filter.
-        motion: at ``before``.
-        covariance: (15, 15) of its errors.
-        before: the sample processed last.
-        after: the sample to process.
+    ``motion`` is that at ``before``, ``covariance`` (15, 15) that of its errors.
     """
     call = materializing(params.step > 0.0)
     moved, f = call(advance, params.gravity, motion, before, after)
@@ -267,18 +254,12 @@ def transition(step: jax.Array, turn: Vec3, rotation: Mat3) -> jax.Array:
 def correct(
     params: EkfParams, motion: MotionEstimate, covariance: jax.Array, at: InertialSample, fix: Fix
 ) -> tuple[MotionEstimate, jax.Array]:
-    """Correct with a pose.
+    """Correct the motion at the instant of ``at`` with a pose, if it is ``fresh``.
 
     The noise of its six numbers is independent, so each is processed by itself, with a division
     in place of the inverse of a matrix (Maybeck, "Stochastic models, estimation, and control",
-    volume 1, 1979, section 5.10). A number measures one error: ``P H^T`` is a row of ``P``.
-
-    Args:
-        params: of the filter.
-        motion: at the instant of ``at``.
-        covariance: (15, 15) of its errors.
-        at: the sample processed last; its rates and force bridge the offset to the pose.
-        fix: the pose; without effect unless it is ``fresh``.
+    volume 1, 1979, section 5.10). A number measures one error: ``P H^T`` is a row of ``P``,
+    (15, 15). Rates and force of ``at``, the sample processed last, bridge the offset to the pose.
     """
     call = materializing(params.step > 0.0)
     innovations = call(_innovation, params, motion, at, fix)
@@ -321,10 +302,6 @@ def estimate(params: EkfParams, state: EkfState) -> tuple[MotionEstimate, Vec3]:
     The motion is the delayed estimate predicted over the buffered samples. Rates and the last
     specific force are the newest sample, extrapolated by the low-pass's delay along the last
     difference.
-
-    Args:
-        params: of the filter.
-        state: from ``init`` or ``update``.
     """
     newest, before, motion = state.newest, state.before, state.motion
     gyro = newest.gyro + (newest.gyro - before.gyro) * params.gyro_lead

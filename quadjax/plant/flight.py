@@ -124,13 +124,9 @@ def observe(plan: Plan, drones: Drones) -> jax.Array:
 def hold(
     plan: Plan, drones: Drones, command: Rotors | RateCommand, key: jax.Array
 ) -> tuple[Drones, Rotors]:
-    """All drones one control step later, under commands that are held.
+    """All drones one control step later, under commands of each that are held.
 
-    Args:
-        plan: of the flights.
-        drones: from ``begin`` or the last step.
-        command: of each drone, along the last axis.
-        key: of the plant's and the sensors' noise.
+    ``key`` is that of the plant's and the sensors' noise.
 
     Returns:
         The drones, and the rpm commands of the step's last sample.
@@ -168,11 +164,7 @@ def remember(plan: Plan, before: Drones, drones: Drones, action: jax.Array) -> D
 def advance(plan: Plan, steps: int, drones: Drones, key: jax.Array) -> tuple[Drones, Frame]:
     """Fly all drones for some control steps.
 
-    Args:
-        plan: of the flights.
-        steps: control steps.
-        drones: from ``begin`` or the last call.
-        key: of the policy's, the plant's and the sensors' noise.
+    ``key`` is that of the policy's, the plant's and the sensors' noise.
 
     Returns:
         The drones, and the frames of the recorded runs: time first, runs last.

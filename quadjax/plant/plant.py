@@ -136,11 +136,7 @@ def begin(
 ) -> PlantState:
     """A drone at the start: frame undeflected, pending commands equal to its rotor speeds.
 
-    Args:
-        params: of the plant.
-        body: the motion at the start.
-        charge: () of the battery, 0 to 1.
-        draws: (gusts.START_DRAWS,) standard normal numbers.
+    ``charge`` () is that of the battery, 0 to 1; ``draws`` are (gusts.START_DRAWS,) normal numbers.
     """
     physics = Physics(
         body, jax.tree.map(jnp.zeros_like, body.actuators), Vec3.zero(), Vec3.zero(), charge
@@ -155,11 +151,7 @@ def forces(
 ) -> tuple[Vec3, Vec3]:
     """Specific force, m/s^2, and moment, N m, of rotors and air, body frame.
 
-    Args:
-        params: of the plant.
-        physics: the state.
-        rpm_rate: derivatives of the propeller speeds, rpm/s.
-        air_velocity: of the drone through the air, m/s, body.
+    Of derivatives of the propeller speeds, rpm/s, and the velocity through the air, m/s, body.
     """
     body, c, on = physics.body, params.vehicle.constants, params.effects
     mass, rpm = params.mass, body.actuators * params.rotor_factor

@@ -135,12 +135,7 @@ def low_pass_delay(cutoff: float, sample_rate: float) -> float:
 def init(
     params: SensorParams, truth: GroundTruth, draws: jax.Array
 ) -> tuple[SensorState, Measured]:
-    """The sensors at the start, with filters in steady state.
-
-    Args:
-        params: of the sensors.
-        truth: at the first sample.
-        draws: (START_DRAWS,) independent standard normal numbers.
+    """The sensors at the start, with filters in steady state, from (START_DRAWS,) normal numbers.
 
     Returns:
         The state, and the first sample with a pose that has no delay.
@@ -158,14 +153,7 @@ def init(
 def update(
     params: SensorParams, state: SensorState, truth: GroundTruth, draws: jax.Array
 ) -> tuple[SensorState, Measured]:
-    """The next sample of every sensor of one drone.
-
-    Args:
-        params: of the sensors.
-        state: from ``init`` or the last ``update``.
-        truth: at this sample.
-        draws: (DRAWS,) independent standard normal numbers.
-    """
+    """The next sample of every sensor of one drone, from (DRAWS,) independent normal numbers."""
     gyro, rates = _sample(params.gyro, state.gyro, truth.rates, draws[0:3], draws[3:6])
     force, accelerations = _sample(
         params.accelerometer, state.accelerometer, truth.specific_force, draws[6:9], draws[9:12]

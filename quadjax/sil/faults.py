@@ -94,13 +94,7 @@ class Channel:
     """
 
     def __init__(self, faults: Faults, seed: int, stream: int) -> None:
-        """No message is under way.
-
-        Args:
-            faults: of the link.
-            seed: of the faults.
-            stream: number of this channel, for numbers of its own.
-        """
+        """No message is under way; channels of one seed differ by the number of ``stream``."""
         self.counts: Counter[str] = Counter()
         self._faults, self._waiting = faults, list[Sent]()
         self._random = np.random.default_rng((seed, stream))

@@ -39,13 +39,7 @@ class Peer:
     """
 
     def __init__(self, connection: socket.socket, name: str, stop: threading.Event) -> None:
-        """Use a socket that is connected to the autopilot.
-
-        Args:
-            connection: the socket.
-            name: of the autopilot, for messages.
-            stop: ends all waiting.
-        """
+        """Use a socket that is connected to the autopilot ``name``; ``stop`` ends all waiting."""
         self.rejected: Counter[str] = Counter()
         self.rejected_before = 0
         self._socket, self._name, self._stop = connection, name, stop
@@ -128,13 +122,9 @@ def listening(host: str, port: int) -> Iterator[socket.socket]:
 def greeted(
     connection: socket.socket, kind: CommandKind, seconds: float, stop: threading.Event
 ) -> Iterator[Peer]:
-    """The autopilot that says hello at a socket.
+    """The autopilot that says hello at a socket within some seconds, or until ``stop``.
 
-    Args:
-        connection: a socket that listens.
-        kind: of the commands that the drone takes.
-        seconds: to wait.
-        stop: ends the waiting.
+    ``kind`` is that of the commands that the drone takes.
 
     Raises:
         InputError: no hello, or one of another version, for another drone, or after a self-test

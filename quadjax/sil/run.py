@@ -157,13 +157,9 @@ class Flown:
 
 
 def make_world(config: Config, policy: Policy, plant: PlantConfig | None, laps: int) -> World:
-    """The drone that a policy's race needs.
+    """The drone that the race of a policy needs, with the policy's model and limits.
 
-    Args:
-        config: of the race.
-        policy: whose model and limits the commands have.
-        plant: the stand-in plant; None: the simulator of the race.
-        laps: of a race.
+    On the stand-in plant, or, without one, in the simulator of the race.
 
     Raises:
         InputError: a vehicle model that the plant lacks, or that has no messages.
@@ -183,12 +179,7 @@ def make_world(config: Config, policy: Policy, plant: PlantConfig | None, laps: 
 def fly_all(
     setting: Setting, stop: threading.Event, report: Callable[[str], None] = lambda line: None
 ) -> Flown:
-    """Fly all races.
-
-    Args:
-        setting: what flies.
-        stop: ends the race under way; the record so far is kept.
-        report: called with the progress.
+    """Fly all races; ``stop`` ends the race under way, and the record so far is kept.
 
     Raises:
         InputError: bad input, no compiler, a port that is taken, or an autopilot that does not

@@ -23,11 +23,7 @@ QUANTITIES = {"rad/s": "body rates", "m/s^2": "thrust", "N": "rotor thrust"}  # 
 def page_record(title: str, flights: Sequence[Flight]) -> dict[str, Any]:
     """Flights on one track as JSON takes them; flights without samples mark lap times.
 
-    Periodic laps are repeated as often as the others have laps.
-
-    Args:
-        title: of the page.
-        flights: started together.
+    They start together. Periodic laps are repeated as often as the others have laps.
 
     Raises:
         InputError: no flight with samples, one that cannot be drawn, or flights on other tracks.

@@ -58,12 +58,7 @@ def write_page(path: Path | str, record: dict[str, Any]) -> None:
 
 
 def frame(record: dict[str, Any], height: int = HEIGHT) -> str:
-    """The page as an ``iframe`` for a notebook or another page.
-
-    Args:
-        record: of ``page_record``.
-        height: px.
-    """
+    """The page of a record as an ``iframe`` of some height, px, for a notebook or another page."""
     source = html.escape(page(record), quote=True)
     return (
         f'<iframe srcdoc="{source}" sandbox="allow-scripts" allow="fullscreen" '

@@ -25,15 +25,10 @@ GLUE_STEPS, GLUE_TOLERANCE = 50, 2e-5  # of a command's range: an autopilot has 
 def build_autopilot(
     sources: Sources, output: Path, others: Sequence[Path] = (), options: Sequence[str] = ()
 ) -> Path:
-    """Build the glue of a target, in a stand-in for its firmware, for this machine.
+    """Build the glue of a target and other C, in a stand-in for its firmware, for this machine.
 
+    ``output`` is the program, or a library (.so) whose functions are those of ``firmware.h``.
     Multiplications are not fused, so that every machine computes the same.
-
-    Args:
-        sources: the C.
-        output: the program, or a library (.so) whose functions are those of ``firmware.h``.
-        others: further C files.
-        options: of the compiler.
     """
     files, of_glue = sources.autopilot()
     compiler, options = host(), [*of_glue, "-ffp-contract=off", *options]

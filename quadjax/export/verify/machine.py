@@ -45,12 +45,7 @@ class Machine:
     """A processor with its FPU and NEON switched on, and one ELF file in its memory."""
 
     def __init__(self, path: Path, processor: str = "Cortex-A9") -> None:
-        """Load an ELF executable; its symbols become callable.
-
-        Args:
-            path: of the executable.
-            processor: a name of ``MODELS``.
-        """
+        """Load an ELF executable, whose symbols become callable; the processor is of ``MODELS``."""
         mode, model = MODELS[processor]
         self._cpu: Any = Uc(UC_ARCH_ARM, mode)  # of a subclass that its package does not declare
         self._cpu.ctl_set_cpu_model(model)

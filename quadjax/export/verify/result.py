@@ -49,9 +49,7 @@ def require(condition: bool, message: str) -> None:
 def row_text(result: Result, width: int) -> str:
     """A row of the table, of lines of at most 79 characters where words allow it.
 
-    Args:
-        result: of one check.
-        width: of the names of the checks.
+    ``width`` is that of the names of the checks.
     """
     start = f"{result.check:<{width}}  {result.verdict:<8}  {result.seconds:6.1f} s  "
     indent = " " * len(start)

@@ -69,9 +69,7 @@ def host() -> Compiler:
 def zig(target: str, cpu: str) -> Compiler:
     """The compiler that pip installs, for a processor without an operating system.
 
-    Args:
-        target: arm or thumb.
-        cpu: with the units that it has.
+    The target is arm or thumb, the CPU has its units.
     """
     if not has_module("ziglang"):
         raise Skipped("no ziglang; pip install 'quadjax[verify]'")
