@@ -56,33 +56,19 @@ class StoppedError(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What a command asks for.
+    """What a command asks for."""
 
-    Attributes:
-        race: in which the policy was trained.
-        policy: its file.
-        fit: how logs are fitted.
-        plant: the drone; None to learn from ``logs``.
-        logs: files of real flights.
-        rounds: of flying and learning.
-        flights: in each round.
-        laps: of each flight.
-        steps: environment steps of each fine-tuning.
-        check: flights of the first and the last policy, which nothing is learned from.
-        seed: of batteries, gusts and sensors.
-    """
-
-    race: Config
-    policy: Path
-    fit: FitConfig
-    plant: PlantConfig | None
-    logs: tuple[Path, ...] = ()
-    rounds: int = 3
-    flights: int = 2
-    laps: int = 6
-    steps: int = 1_000_000
-    check: int = 10
-    seed: int = 0
+    race: Config  # in which the policy was trained
+    policy: Path  # its file
+    fit: FitConfig  # how logs are fitted
+    plant: PlantConfig | None  # the drone; None to learn from ``logs``
+    logs: tuple[Path, ...] = ()  # files of real flights
+    rounds: int = 3  # of flying and learning
+    flights: int = 2  # in each round
+    laps: int = 6  # of each flight
+    steps: int = 1_000_000  # environment steps of each fine-tuning
+    check: int = 10  # flights of the first and the last policy, which nothing is learned from
+    seed: int = 0  # of batteries, gusts and sensors
 
     def to_json(self) -> dict[str, Any]:
         """What a resumed command must have in common: all but ``rounds`` and ``check``."""
@@ -133,27 +119,16 @@ class Setting:
 
 @dataclasses.dataclass(frozen=True)
 class Round:
-    """The state after a round: the policy and the model that fly next, and what the round did.
+    """The state after a round: the policy and the model that fly next, and what the round did."""
 
-    Attributes:
-        policy: its file.
-        model: of the drone.
-        margin: m, inside the gates' edges, of the training.
-        logs: of all rounds so far that are fitted.
-        flown: its flights.
-        refitted: its model.
-        computing: s.
-        fitted: number of its logs that are fitted.
-    """
-
-    policy: Path
-    model: Model
-    margin: float
-    logs: tuple[Path, ...] = ()
-    flown: Flown = dataclasses.field(default_factory=dict)
-    refitted: Model | None = None
-    computing: float = 0.0
-    fitted: int = 0
+    policy: Path  # its file
+    model: Model  # of the drone
+    margin: float  # m, inside the gates' edges, of the training
+    logs: tuple[Path, ...] = ()  # of all rounds so far that are fitted
+    flown: Flown = dataclasses.field(default_factory=dict)  # its flights
+    refitted: Model | None = None  # its model
+    computing: float = 0.0  # s
+    fitted: int = 0  # number of its logs that are fitted
 
     @classmethod
     def first(cls, setting: Setting) -> "Round":

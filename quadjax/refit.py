@@ -45,26 +45,18 @@ MOST = 0.2  # m, largest increase in a round
 
 @dataclasses.dataclass(frozen=True)
 class Model:
-    """A drone's model, and how it predicts flights that it is not fitted to.
+    """A drone's model, and how it predicts flights that it is not fitted to."""
 
-    Attributes:
-        constants: of the motor-level model.
-        residual: file of the networks; None for none.
-        battery: the fitted limit; None for no limit.
-        before: root mean square errors of the model before it on the held-out flights, by quantity;
-            without the propeller speeds where the logs have no commanded ones.
-        after: those of models that are fitted without the flight that they predict.
-        rejection: why it is not accepted; "" if it is.
-        seconds: of computing.
-    """
-
-    constants: dict[str, float]
-    residual: str | None = None
-    battery: BatteryFit | None = None
+    constants: dict[str, float]  # of the motor-level model
+    residual: str | None = None  # file of the networks; None for none
+    battery: BatteryFit | None = None  # the fitted limit; None for no limit
+    # root mean square errors of the model before it on the held-out flights, by quantity; without
+    # the propeller speeds where the logs have no commanded ones
     before: dict[str, float] = dataclasses.field(default_factory=dict)
+    # those of models that are fitted without the flight that they predict
     after: dict[str, float] = dataclasses.field(default_factory=dict)
-    rejection: str = ""
-    seconds: float = 0.0
+    rejection: str = ""  # why it is not accepted; "" if it is
+    seconds: float = 0.0  # of computing
 
     @classmethod
     def of(cls, config: Config) -> Self:

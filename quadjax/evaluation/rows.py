@@ -28,25 +28,15 @@ class Speeds(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Row:
-    """Flights of one policy under one condition.
+    """Flights of one policy under one condition."""
 
-    Attributes:
-        policy: label of the policy.
-        laps: of all flights; those of one drawn plant follow each other.
-        condition: label of the condition; "" for the race as it is.
-        plants: number of drawn plants that share the flights.
-        speeds: of the flights, where they are recorded.
-        speed_limit: m/s, that ``speeds.above`` counts from; None: unknown.
-        published: the published row of the same race and protocol.
-    """
-
-    policy: str
-    laps: Laps
-    condition: str = ""
-    plants: int = 1
-    speeds: Speeds | None = None
-    speed_limit: float | None = None
-    published: Optional["Row"] = None
+    policy: str  # label of the policy
+    laps: Laps  # of all flights; those of one drawn plant follow each other
+    condition: str = ""  # label of the condition; "" for the race as it is
+    plants: int = 1  # number of drawn plants that share the flights
+    speeds: Speeds | None = None  # of the flights, where they are recorded
+    speed_limit: float | None = None  # m/s, that ``speeds.above`` counts from; None: unknown
+    published: Optional["Row"] = None  # the published row of the same race and protocol
 
     @property
     def runs(self) -> int:

@@ -25,17 +25,12 @@ SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasc
 
 @dataclasses.dataclass(frozen=True)
 class Table:
-    """Cells below titles; the first column has the labels of the lines.
+    """Cells below titles; the first column has the labels of the lines."""
 
-    Attributes:
-        titles: of the columns.
-        rows: cells of each line; a line of one cell is a heading. A cell ``*so*`` stands out.
-        notes: lines below the table.
-    """
-
-    titles: Sequence[str]
+    titles: Sequence[str]  # of the columns
+    # cells of each line; a line of one cell is a heading. A cell ``*so*`` stands out
     rows: Sequence[Sequence[str]]
-    notes: Sequence[str] = ()
+    notes: Sequence[str] = ()  # lines below the table
 
     def format(self, kind: Format = "text") -> str:
         """The table as text, as Markdown, or as LaTeX for booktabs.

@@ -35,39 +35,23 @@ BATTERY = BatteryConfig()
 
 @dataclass(frozen=True)
 class Fit:
-    """The result of a fit.
+    """The result of a fit."""
 
-    Attributes:
-        config: of the fit.
-        logs: the flights.
-        model: that is fitted, ``motor`` or ``racing``.
-        vehicle: the fitted drone.
-        samples: every row in flight, as the written model has them.
-        split: of these rows.
-        estimates: the fitted constants, by axis and what else they belong to.
-        constants: of each complete fit, by the folds left out; ``ALL`` is the written one.
-        residuals: of each complete fit; empty for a model without one.
-        training: the written model on its own rows.
-        held_out: predictions, each by a complete fit without the flight.
-        kept: why axes keep the base vehicle's constants, by axis.
-        battery: the limit of the propeller speeds; None without commanded speeds.
-        warnings: one line each.
-    """
-
-    config: FitConfig
-    logs: list[Flight]
-    model: str
-    vehicle: VehicleFile
-    samples: Samples
-    split: Split
-    estimates: list[Estimate]
+    config: FitConfig  # of the fit
+    logs: list[Flight]  # the flights
+    model: str  # that is fitted, ``motor`` or ``racing``
+    vehicle: VehicleFile  # the fitted drone
+    samples: Samples  # every row in flight, as the written model has them
+    split: Split  # of these rows
+    estimates: list[Estimate]  # the fitted constants, by axis and what else they belong to
+    # of each complete fit, by the folds left out; ``ALL`` is the written one
     constants: Mapping[LeftOut, Constants]
-    residuals: dict[LeftOut, ResidualFit]
-    training: Prediction
-    held_out: list[Prediction]
-    kept: dict[str, str]
-    battery: BatteryFit | None
-    warnings: list[str]
+    residuals: dict[LeftOut, ResidualFit]  # of each complete fit; empty for a model without one
+    training: Prediction  # the written model on its own rows
+    held_out: list[Prediction]  # predictions, each by a complete fit without the flight
+    kept: dict[str, str]  # why axes keep the base vehicle's constants, by axis
+    battery: BatteryFit | None  # the limit of the propeller speeds; None without commanded speeds
+    warnings: list[str]  # one line each
 
     @property
     def units(self) -> dict[str, str]:

@@ -28,25 +28,16 @@ FROM_FRD = {"FRD": Rotation.identity(), "FLU": Rotation.from_quat([1.0, 0.0, 0.0
 
 @dataclass(frozen=True)
 class Quantity:
-    """What some columns of a log measure, in SI, rpm, and motor commands from 0 to 1.
+    """What some columns of a log measure, in SI, rpm, and motor commands from 0 to 1."""
 
-    Attributes:
-        width: number of columns.
-        unit: kind of unit, a key of ``UNITS``; "" for none.
-        frame: "body" or "world" for a vector's axes.
-        optional: whether a log may lack the columns of its format.
-        may_be_constant: whether it may be constant throughout a flight.
-        range: lowest and highest value, of all columns or of each; none for any.
-        hint: what a value beyond it indicates.
-    """
-
-    width: int
-    unit: str = ""
-    frame: str = ""
-    optional: bool = False
-    may_be_constant: bool = False
+    width: int  # number of columns
+    unit: str = ""  # kind of unit, a key of ``UNITS``; "" for none
+    frame: str = ""  # "body" or "world" for a vector's axes
+    optional: bool = False  # whether a log may lack the columns of its format
+    may_be_constant: bool = False  # whether it may be constant throughout a flight
+    # lowest and highest value, of all columns or of each; none for any
     range: tuple[float | tuple[float, ...], float | tuple[float, ...]] | tuple[()] = ()
-    hint: str = ""
+    hint: str = ""  # what a value beyond it indicates
 
     @property
     def si(self) -> str:

@@ -120,25 +120,16 @@ def _fit_lag(
 
 @dataclass(frozen=True)
 class BatteryFit:
-    """The motors' lag, and the limit where there is one.
+    """The motors' lag, and the limit where there is one."""
 
-    Attributes:
-        tau: s.
-        sag: rpm per load; 0 without a limit.
-        drain: rpm per s of hover.
-        first: rpm at no load at the start of each flight, by its name; empty without a limit.
-        last: the same at the end.
-        rmse: of the simulated speeds of the flights, rpm.
-        converged: false if the solver stopped at its limit of steps.
-    """
-
-    tau: float
-    sag: float
-    drain: float
+    tau: float  # s
+    sag: float  # rpm per load; 0 without a limit
+    drain: float  # rpm per s of hover
+    # rpm at no load at the start of each flight, by its name; empty without a limit
     first: dict[str, float] = field(default_factory=dict)
-    last: dict[str, float] = field(default_factory=dict)
-    rmse: float = 0.0
-    converged: bool = True
+    last: dict[str, float] = field(default_factory=dict)  # the same at the end
+    rmse: float = 0.0  # of the simulated speeds of the flights, rpm
+    converged: bool = True  # false if the solver stopped at its limit of steps
 
     def error(self, log: Flight, hover: float, highest: float) -> float:
         """Root mean square error, rpm, of the speeds of a flight that was not fitted.

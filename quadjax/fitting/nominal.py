@@ -43,23 +43,15 @@ RACING_CONSTANTS = CONSTANTS | {
 
 @dataclass(frozen=True)
 class Equations:
-    """The equations of a model that is linear in its constants.
+    """The equations of a model that is linear in its constants."""
 
-    Attributes:
-        constants: names by axis; positive on every drone, except for those of either sign.
-        small: names of those that may absorb what the model lacks.
-        force_moment: of constants, rpm, their derivatives, body velocity and rates.
-        either_sign: names of constants that may be negative.
-        has_inertia: whether the moments are N m, else rad/s^2.
-        uncertain: relative standard error above which a constant has a warning.
-    """
-
+    # names by axis; positive on every drone, except for those of either sign
     constants: dict[str, tuple[str, ...]]
-    small: tuple[str, ...]
-    force_moment: ForceMoment
-    either_sign: tuple[str, ...] = ()
-    has_inertia: bool = False
-    uncertain: float = 0.05
+    small: tuple[str, ...]  # names of those that may absorb what the model lacks
+    force_moment: ForceMoment  # of constants, rpm, their derivatives, body velocity and rates
+    either_sign: tuple[str, ...] = ()  # names of constants that may be negative
+    has_inertia: bool = False  # whether the moments are N m, else rad/s^2
+    uncertain: float = 0.05  # relative standard error above which a constant has a warning
 
 
 def _motor(

@@ -31,29 +31,19 @@ MAX_STEPS = 40  # of the solver
 
 @dataclass(frozen=True)
 class Estimate:
-    """The fitted parameters of one problem.
+    """The fitted parameters of one problem."""
 
-    Attributes:
-        group: that they belong to: an axis, or what they describe.
-        constants: values of the parameters, by name.
-        errors: their standard errors, infinite where the base value is kept.
-        condition: of the columns, each scaled to unit size; infinite with a kept base value.
-        r_squared: of the signal, over all its columns.
-        rmse: of the signal.
-        warnings: one line each.
-        negated: parameters that are significantly below zero and cannot be, as text.
-        converged: false if the solver stopped at its limit of steps.
-    """
-
-    group: str
-    constants: dict[str, float]
-    errors: dict[str, float]
+    group: str  # that they belong to: an axis, or what they describe
+    constants: dict[str, float]  # values of the parameters, by name
+    errors: dict[str, float]  # their standard errors, infinite where the base value is kept
+    # of the columns, each scaled to unit size; infinite with a kept base value
     condition: float = np.inf
-    r_squared: float = 0.0
-    rmse: float = np.nan
-    warnings: tuple[str, ...] = ()
+    r_squared: float = 0.0  # of the signal, over all its columns
+    rmse: float = np.nan  # of the signal
+    warnings: tuple[str, ...] = ()  # one line each
+    # parameters that are significantly below zero and cannot be, as text
     negated: tuple[str, ...] = ()
-    converged: bool = True
+    converged: bool = True  # false if the solver stopped at its limit of steps
 
 
 class Parameter(NamedTuple):
@@ -79,28 +69,18 @@ class Problem:
     A linear problem has columns and their noise; its signal is the sum of parameters times columns.
     Noise in a column adds to the diagonal of the normal equations and biases its parameter towards
     zero; that part is subtracted (bias-compensated least squares). Any other problem has a model.
-
-    Attributes:
-        group: that the parameters belong to: an axis, or what they describe.
-        parameters: k of them.
-        measured: (n,) or (n, m) signal.
-        blocks: (n,) index of the half second of one flight; see ``half_seconds``.
-        columns: (n, k) of a linear problem.
-        noise: (n, k) change of the columns by added noise; see ``prepare``.
-        model: parameters (k,) -> what they give, of the shape of the signal.
-        uncertain: relative standard error above which a parameter has a warning.
-        least_explained: R^2 below which all parameters keep their base values.
     """
 
-    group: str
-    parameters: Sequence[Parameter]
-    measured: np.ndarray
-    blocks: np.ndarray
-    columns: np.ndarray | None = None
-    noise: np.ndarray | None = None
+    group: str  # that the parameters belong to: an axis, or what they describe
+    parameters: Sequence[Parameter]  # k of them
+    measured: np.ndarray  # (n,) or (n, m) signal
+    blocks: np.ndarray  # (n,) index of the half second of one flight; see ``half_seconds``
+    columns: np.ndarray | None = None  # (n, k) of a linear problem
+    noise: np.ndarray | None = None  # (n, k) change of the columns by added noise; see ``prepare``
+    # parameters (k,) -> what they give, of the shape of the signal
     model: Callable[[np.ndarray], np.ndarray] | None = None
-    uncertain: float = 0.05
-    least_explained: float = -np.inf
+    uncertain: float = 0.05  # relative standard error above which a parameter has a warning
+    least_explained: float = -np.inf  # R^2 below which all parameters keep their base values
 
     def modeled(self, values: np.ndarray) -> np.ndarray:
         """What parameters (k,) give, of the shape of the signal."""

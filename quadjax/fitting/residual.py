@@ -60,31 +60,18 @@ ENSEMBLE = 0  # index of the mean of all seeds among the members
 
 @dataclass(frozen=True)
 class Choice:
-    """The selected residual of one axis.
+    """The selected residual of one axis."""
 
-    Attributes:
-        axis: of ``AXES``.
-        mirror: whether it is trained on mirror images.
-        epoch: index into the training's history.
-        scale: of the output; zero if rejected.
-        gains: of each held-out fold, before any rejection.
-        gain: their mean.
-        seed_spread: standard deviation of the mean gain over seeds; nan for one seed.
-        agreement: mean square of the mean output over mean square output.
-        rejected: the reason; None if accepted.
-        distilled: R^2 of the file's network to the ensemble; 1 if rejected.
-    """
-
-    axis: str
-    mirror: bool = False
-    epoch: int = 0
-    scale: float = 0.0
-    gains: tuple[float, ...] = ()
-    gain: float = 0.0
-    seed_spread: float = 0.0
-    agreement: float = 0.0
-    rejected: str | None = None
-    distilled: float = 1.0
+    axis: str  # of ``AXES``
+    mirror: bool = False  # whether it is trained on mirror images
+    epoch: int = 0  # index into the training's history
+    scale: float = 0.0  # of the output; zero if rejected
+    gains: tuple[float, ...] = ()  # of each held-out fold, before any rejection
+    gain: float = 0.0  # their mean
+    seed_spread: float = 0.0  # standard deviation of the mean gain over seeds; nan for one seed
+    agreement: float = 0.0  # mean square of the mean output over mean square output
+    rejected: str | None = None  # the reason; None if accepted
+    distilled: float = 1.0  # R^2 of the file's network to the ensemble; 1 if rejected
 
 
 @dataclass(frozen=True)

@@ -37,17 +37,11 @@ SAME_STEP = 1e-6  # relative difference of time steps that count as equal
 
 @dataclasses.dataclass(frozen=True)
 class Flights:
-    """Flights that have ended.
+    """Flights that have ended."""
 
-    Attributes:
-        laps: the timed result.
-        frames: of the recorded runs: time first, runs last, NumPy arrays.
-        step: s between frames.
-    """
-
-    laps: Laps
-    frames: Frame
-    step: float
+    laps: Laps  # the timed result
+    frames: Frame  # of the recorded runs: time first, runs last, NumPy arrays
+    step: float  # s between frames
 
 
 def plan_race(

@@ -67,32 +67,21 @@ MEANINGS = {  # of counts
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What flies, on what, and how.
+    """What flies, on what, and how."""
 
-    Attributes:
-        source: folder of ``quadjax export``, or a policy file; with ``listen`` a folder or a
-            config.
-        plant: the stand-in plant; None: the simulator of the race.
-        listen: address at which a user's autopilot connects; None: the exported C is started.
-        laps: of a race; ``evaluate.laps`` of the config if not given.
-        runs: number of races, one after the other.
-        seed: of drones and faults; a race has the seed plus its number.
-        timing: lock-step, or a speed.
-        faults: of the link.
-        race: config of the race, named by the user; that of the folder or policy if not given.
-        target: processor and autopilot for which a policy file is converted.
-    """
-
+    # folder of ``quadjax export``, or a policy file; with ``listen`` a folder or a config
     source: Path
-    plant: PlantConfig | None
+    plant: PlantConfig | None  # the stand-in plant; None: the simulator of the race
+    # address at which a user's autopilot connects; None: the exported C is started
     listen: tuple[str, int] | None = None
-    laps: int | None = None
-    runs: int = 1
-    seed: int = 0
-    timing: Timing = Timing()
-    faults: Faults = Faults()
+    laps: int | None = None  # of a race; ``evaluate.laps`` of the config if not given
+    runs: int = 1  # number of races, one after the other
+    seed: int = 0  # of drones and faults; a race has the seed plus its number
+    timing: Timing = Timing()  # lock-step, or a speed
+    faults: Faults = Faults()  # of the link
+    # config of the race, named by the user; that of the folder or policy if not given
     race: Path | str | None = None
-    target: str = DEFAULT_TARGET
+    target: str = DEFAULT_TARGET  # processor and autopilot for which a policy file is converted
 
 
 @dataclasses.dataclass(frozen=True)

@@ -62,27 +62,17 @@ class Now:
 
 @dataclasses.dataclass(frozen=True)
 class World:
-    """A simulated drone in a race.
+    """A simulated drone in a race."""
 
-    Attributes:
-        name: for the result.
-        choices: of the race.
-        params: of the race.
-        step: of the control loop, s.
-        limit: control steps, after which a race is out of time.
-        begin: a race before its first step, of a seed.
-        advance: one control step later under a command (4,), in the model's units.
-        result: the laps of the race so far.
-    """
-
-    name: str
-    choices: Choices
-    params: RaceParams
-    step: float
-    limit: int
-    begin: Callable[[int], Now]
+    name: str  # for the result
+    choices: Choices  # of the race
+    params: RaceParams  # of the race
+    step: float  # of the control loop, s
+    limit: int  # control steps, after which a race is out of time
+    begin: Callable[[int], Now]  # a race before its first step, of a seed
+    # one control step later under a command (4,), in the model's units
     advance: Callable[[Now, np.ndarray], Now]
-    result: Callable[[Now], Laps]
+    result: Callable[[Now], Laps]  # the laps of the race so far
 
     @property
     def model(self) -> VehicleModel:
