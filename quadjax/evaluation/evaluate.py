@@ -29,8 +29,6 @@ from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Actor, Laps
 
-Record = Callable[[], list[Flight]]
-
 
 def evaluate(
     policy: Policy | Path | str,
@@ -103,28 +101,27 @@ def evaluate(
     flying, left_out = list(protocol.of(config)), []
     if plant is not None and len(flying) > 1:
         left_out = [c.label for c, _ in flying if protocol.under(c).start != "hover"]
-    rows, records = [], []
+    rows = []
     for condition, race in flying:
         if condition.label in left_out:
             continue
         progress(name if conditions is None else f"{name}: {condition.label}")
         flown = protocol.under(condition)
         if plant is None:
-            row, record = simulate(network, name, (config, race), condition, flown, actor)
-            row = dataclasses.replace(row, policy=_label(name))
+            row = simulate(network, name, (config, race), condition, flown, actor)
         elif condition.damage is None:
-            times, record = fly_plants(network, name, race, condition.on_plant(plant), flown)
-            row = Row(_label(name), times, condition.label, flown.plants)
+            drone = condition.on_plant(plant)
+            row = fly_plants(network, name, race, drone, condition.label, flown)
         else:
             raise InputError(f"condition {condition.label}: has damage, allowed: without a plant")
+        row = dataclasses.replace(row, policy=_label(name))
         if conditions is None and not flown.tracks:
             how = "deterministic" if flown.deterministic else "sampled"
             row = dataclasses.replace(row, condition=f"{how}, {counted(row.runs, 'run')}")
         rows.append(row)
-        records.append(record)
     origin = provenance(config, name, protocol.seed)
     several = conditions is not None
-    return Evaluation(tuple(rows), protocol, origin, tuple(records), several, tuple(left_out))
+    return Evaluation(tuple(rows), protocol, origin, several, tuple(left_out))
 
 
 def _label(name: str) -> str:
@@ -145,7 +142,6 @@ class Evaluation:
         rows: policies one after the other, conditions in their order.
         protocol: how they were flown, and how the table looks.
         provenance: versions, config, policy, seed, date and device.
-        records: for each row, a function that returns the recorded flights.
         by_condition: whether a list of conditions was flown.
         left_out: labels of conditions that the plant does not have.
     """
@@ -153,7 +149,6 @@ class Evaluation:
     rows: tuple[Row, ...]
     protocol: Conditions
     provenance: dict[str, Any]
-    records: tuple[Record, ...] = dataclasses.field(repr=False)
     by_condition: bool = False
     left_out: tuple[str, ...] = ()
 
@@ -189,7 +184,7 @@ class Evaluation:
     @functools.cached_property
     def flights(self) -> list[Flight]:
         """Every run as a flight; of flights on the plant the first of each plant."""
-        return self.records[0]()
+        return self.row.record()
 
     @property
     def best(self) -> Flight:
@@ -318,5 +313,4 @@ def joined(evaluations: Sequence[Evaluation]) -> Evaluation:
         for file in [result.provenance["policy"]["file"]]
         for row in result.rows
     ]
-    records = tuple(record for result in evaluations for record in result.records)
-    return dataclasses.replace(evaluations[0], rows=tuple(rows), records=records)
+    return dataclasses.replace(evaluations[0], rows=tuple(rows))

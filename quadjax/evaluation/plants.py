@@ -8,7 +8,7 @@ import numpy as np
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.evaluation.conditions import Conditions
-from quadjax.evaluation.rows import concatenate
+from quadjax.evaluation.rows import Row, concatenate
 from quadjax.flights.flight import MOTORS, Flight, Signal
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flight import Plan
@@ -29,19 +29,19 @@ MOTOR_COMMAND = "motor_command"  # signal of a flight on the plant: commanded ro
 
 
 def fly_plants(
-    policy: Policy, name: str, race: Config, plant: PlantConfig, protocol: Conditions
-) -> tuple[Laps, Callable[[], list[Flight]]]:
-    """Flights from hover on drawn plants, and a function that returns those of the first plant.
+    policy: Policy, name: str, race: Config, plant: PlantConfig, label: str, protocol: Conditions
+) -> Row:
+    """Flights from hover on drawn plants, a row that records the first ones of the first plant.
 
-    They have their true states, and the signal ``MOTOR_COMMAND``.
-
-    Each plant has its own seed of batteries, gusts and sensors, the same for every policy.
+    These have their true states, and the signal ``MOTOR_COMMAND``. Each plant has its own seed of
+    batteries, gusts and sensors, the same for every policy.
 
     Args:
         policy: the policy.
         name: of its file, for messages.
         race: its vehicle, with its residual, is the onboard model.
         plant: with the constants of the first drawn plant.
+        label: of the condition.
         protocol: number of plants and flights, laps and seed.
 
     Raises:
@@ -74,7 +74,7 @@ def fly_plants(
             result.append(flight.replace(signals=flight.signals | {MOTOR_COMMAND: command}))
         return result
 
-    return concatenate(laps), record
+    return Row(name, concatenate(laps), label, protocol.plants, record=record)
 
 
 def drawn(plant: PlantConfig, count: int) -> Iterator[PlantConfig]:

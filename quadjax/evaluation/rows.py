@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import stdtrit  # scipy.stats takes a second to import
 
 from quadjax.core.vectors import safe_norm
+from quadjax.flights.flight import Flight
 from quadjax.race.laps import OUT_OF_TIME, Laps, LapState
 from quadjax.race.types import Choices, RaceParams
 
@@ -36,6 +37,8 @@ class Row:
     plants: int = 1  # number of drawn plants that share the flights
     speeds: Speeds | None = None  # of the flights, where they are recorded
     speed_limit: float | None = None  # m/s, that ``speeds.above`` counts from; None: unknown
+    # returns the flights, of those on the plant the first ones of the first plant
+    record: Callable[[], list[Flight]] = dataclasses.field(default=list, repr=False)
     published: Optional["Row"] = None  # the published row of the same race and protocol
 
     @property

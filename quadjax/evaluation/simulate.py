@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +39,7 @@ def simulate(
     condition: Condition,
     protocol: Conditions,
     actor: Actor = pilot.fly,
-) -> tuple[Row, Callable[[], list[Flight]]]:
+) -> Row:
     """Simulate the flights of a policy under a condition.
 
     Args:
@@ -52,8 +51,8 @@ def simulate(
         actor: computes the actions.
 
     Returns:
-        The row, with the published one of the same race and protocol, if any; and a function that
-        repeats the flights and returns them with their states.
+        The row, whose record repeats the flights, with the published one of the same race and
+        protocol, if any.
 
     Raises:
         InputError: a policy that does not fit, or a condition that a simulation does not have.
@@ -105,7 +104,7 @@ def simulate(
     is_alike = (protocol.laps, protocol.start, protocol.deterministic) == ALIKE
     is_alike = is_alike and condition.damage is None and not protocol.tracks
     published = published_row(config) if is_alike else None
-    return Row(name, laps, label, 1, speeds, config.vehicle.fitted_speed, published), record
+    return Row(name, laps, label, 1, speeds, config.vehicle.fitted_speed, record, published)
 
 
 def _starts(

@@ -42,7 +42,7 @@ def test_a_seed_is_trained_once_and_not_passed_off_as_another(tmp_path):
 
 def test_the_table_names_the_published_time():
     rows = (Row("seed 2", flights(2.0), "mean"),)
-    flown = Evaluation(rows, read_conditions("protocols"), {"policy": {"file": "a"}}, (), True)
+    flown = Evaluation(rows, read_conditions("protocols"), {"policy": {"file": "a"}}, True)
     numbers = dict.fromkeys(COLUMNS, 1e6) | {"reference": 17.14, "seed": 2, "last": None}
     head, _, row = format_seeds([(numbers, flown)]).split("\n\n")[0].splitlines()
     assert "<17.14 at s | at M steps | last |" in head
