@@ -14,7 +14,6 @@ ALLOWED = (  # the beginning of a test's id, and a part of the reason
     # Files of other authors, which the repository must not contain.
     ("tests/fitting/", "no logs of real flights"),
     ("tests/policy/test_c_networks.py", "no files of the authors"),
-    ("tests/export/test_folder.py", "root may write anywhere"),
 )
 
 
