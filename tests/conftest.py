@@ -4,6 +4,7 @@ Tests that take more than a few seconds have the marker ``slow``: ``make test`` 
 ``make test-all`` runs them.
 """
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -38,6 +39,15 @@ jax.config.update("jax_num_cpu_devices", 4)
 jax.devices()
 # A shell starts what it runs in the background with Ctrl-C ignored, and processes inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+# JAX makes many objects while it traces, and Python's default thresholds make the collector visit
+# all of them again and again.
+gc.set_threshold(100_000, 20, 20)
+
+
+def pytest_collection_finish() -> None:
+    """Exclude the imported modules from the garbage that is looked for."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_configure(config: pytest.Config) -> None:
