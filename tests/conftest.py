@@ -31,6 +31,7 @@ if "XLA_FLAGS" not in os.environ:
 import jax  # noqa: E402
 import pytest  # noqa: E402
 
+from quadjax.learners import parallel  # noqa: E402
 from tests.cpu_time import pytest_runtest_call  # noqa: E402, F401
 from tests.skips import pytest_sessionfinish, pytest_terminal_summary  # noqa: E402, F401
 
@@ -48,6 +49,14 @@ def pytest_collection_finish() -> None:
     """Exclude the imported modules from the garbage that is looked for."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture
+def optimized(monkeypatch):
+    """Trainings are compiled well rather than soon, for those of many steps."""
+    options = {"xla_backend_optimization_level": 3, "xla_cpu_use_fusion_emitters": True}
+    options |= parallel.compile_options()
+    monkeypatch.setattr(parallel, "compile_options", lambda: options)
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -123,7 +123,7 @@ def test_numbers_of_the_environment_follow_schedules_as_in_a_config():
 
 
 @pytest.mark.slow
-def test_the_pendulum_learns_to_stand():
+def test_the_pendulum_learns_to_stand(optimized):
     output = io.StringIO()
     with contextlib.redirect_stdout(output):
         runpy.run_path(str(EXAMPLES / "07_pendulum.py"), run_name="__main__")

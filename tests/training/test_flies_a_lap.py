@@ -16,7 +16,7 @@ gates:
 """
 
 
-def test_a_policy_flies_after_two_million_steps(tmp_path):
+def test_a_policy_flies_after_two_million_steps(tmp_path, optimized):
     (tmp_path / "wide.yaml").write_text(TRACK, encoding="utf-8")
     overrides = [
         f"track={tmp_path / 'wide.yaml'}",
