@@ -21,7 +21,7 @@ from quadjax.evaluation.table import Table
 from quadjax.export import emulator
 from quadjax.export.network import convert
 from quadjax.export.proof import prove
-from quadjax.export.race_source import OwnRace
+from quadjax.export.race_source import PolicyRace
 from quadjax.export.race_tables import LAST_COMMAND, state_sizes
 from quadjax.export.states import drone_of, example_state, observe
 from quadjax.fitting.signals import derivative, low_pass
@@ -60,7 +60,7 @@ def replay(
     log: Flight,
     track: TrackSection,
     drone: Config,
-    race: OwnRace | None,
+    race: PolicyRace | None,
     policy: Policy | None,
     drive: str | None = None,
     report: Callable[[str], None] = lambda line: None,
@@ -126,7 +126,7 @@ def text_of(numbers: dict[str, Any]) -> str:
 
 
 def _policy_commands(
-    flight: Flight, race: OwnRace, policy: Policy
+    flight: Flight, race: PolicyRace, policy: Policy
 ) -> tuple[dict[str, Any], Arrays]:
     """Commands in the logged states: numbers as JSON takes them, and commands (n, k) by label.
 
@@ -183,7 +183,7 @@ def _maybe(value: float) -> float | None:
 
 
 def _observations(
-    flight: Flight, race: OwnRace, commands: np.ndarray | None
+    flight: Flight, race: PolicyRace, commands: np.ndarray | None
 ) -> tuple[np.ndarray, str]:
     """Observations (n, inputs) float32, in the scaling of training, and their disturbances."""
     layout, model, step = race.choices.layout, race.choices.model, flight.step

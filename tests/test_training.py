@@ -14,7 +14,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import preset_names
 from quadjax.evaluation.evaluate import evaluate
-from quadjax.export.race_source import own_race
+from quadjax.export.race_source import policy_race
 from quadjax.learners import loop
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
@@ -194,5 +194,5 @@ def test_a_moved_run_is_resumed_evaluated_and_exported(tmp_path):
     shutil.rmtree(moved)
     policy = Policy.load(alone)
     found, origin = race_of_policy(policy, alone)
-    race = own_race(found, policy, origin, alone.name)
+    race = policy_race(found, policy, origin, alone.name)
     assert race.params.vehicle.residual is not None and race.track == "mine"

@@ -60,7 +60,7 @@ def replay(
         from quadjax.core.plotting import save_figure
         from quadjax.core.provenance import provenance
         from quadjax.evaluation.report import FORMATS
-        from quadjax.export.race_source import own_race
+        from quadjax.export.race_source import policy_race
         from quadjax.fitting.flight_log import read_log
         from quadjax.policy.file import Policy
         from quadjax.policy.race import race_of_policy
@@ -75,7 +75,7 @@ def replay(
     if policy is not None:
         network = Policy.load(policy)
         drone, origin = race_of_policy(network, policy, race, track, note)
-        flown = own_race(drone, network, origin, str(policy))
+        flown = policy_race(drone, network, origin, str(policy))
     gates = drone and drone.track
     if vehicle is not None:
         drone = _drone_of(vehicle, residual, race, track)

@@ -137,8 +137,8 @@ def _longest(tracks: Track) -> Track:
 
 def unseen_tracks(config: Config, count: int) -> RandomTracks:
     """Random tracks with the seeds after those of the training (``randomization.tracks``)."""
-    trained = config.randomization.tracks or RandomTracks()
-    return trained.replace(seed=trained.seed + trained.count, count=count)
+    training_tracks = config.randomization.tracks or RandomTracks()
+    return training_tracks.replace(seed=training_tracks.seed + training_tracks.count, count=count)
 
 
 def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:

@@ -35,7 +35,7 @@ class BatteryTables:
 
     period_ns: int  # of a sample
     exponent: int  # of the range of the speeds and commands, rpm
-    low_pass: int  # k, of fine units as ``integers.scaled``
+    low_pass: int  # k, of fine units as ``integers.multiply_shift``
     low_pass_shift: int
     lead: int
     lead_shift: int

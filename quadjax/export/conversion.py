@@ -16,7 +16,7 @@ from quadjax.export.inner_loop import inner_loop
 from quadjax.export.network import convert
 from quadjax.export.noise import make_noise
 from quadjax.export.proof import Proof, prove
-from quadjax.export.race_source import OwnRace
+from quadjax.export.race_source import PolicyRace
 from quadjax.export.race_tables import make_tables
 from quadjax.export.ranges import track_ranges
 from quadjax.export.render import call_frequency, glue_header, policy_header, sizes_header
@@ -53,7 +53,7 @@ class Converted:
     fixed: FixedPolicy
     proof: Proof
     rollouts: Rollouts | None  # of the policy's own race; None where its cases were given
-    race: OwnRace
+    race: PolicyRace
     options: Options
 
     @property
@@ -107,7 +107,7 @@ def sha256(path: Path) -> str:
 
 def convert_policy(
     policy: Policy,
-    race: OwnRace,
+    race: PolicyRace,
     options: Options,
     file: str,
     path: Path,

@@ -30,7 +30,7 @@ from quadjax.export.names import (
     symbol_name,
 )
 from quadjax.export.network import check_policy
-from quadjax.export.race_source import check_race, own_race
+from quadjax.export.race_source import check_race, policy_race
 from quadjax.export.report import Json, make_report, report_text
 from quadjax.export.suitability import target_of
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS, find_target, runtime_files
@@ -156,7 +156,7 @@ def convert_file(
     check_policy(policy)
     target_of(options.target, policy.vehicle)
     config, origin = race_of_policy(policy, path.name, config, track)
-    race = own_race(config, policy, origin, path.name)
+    race = policy_race(config, policy, origin, path.name)
     if not options.allow_other_race:
         check_race(policy, race, path)
     return convert_policy(policy, race, options, path.name, path, rollouts)

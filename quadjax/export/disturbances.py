@@ -176,7 +176,7 @@ def prove_estimator(tables: EstimatorTables, straight: float, derivative: float)
 
 
 def product_fits(value: int, factor: int) -> bool:
-    """Whether ``integers.scaled`` of any value up to this one stays below 2^62, by bits."""
+    """Whether ``integers.multiply_shift`` of any value up to this one stays below 2^62, by bits."""
     size = abs(int(factor))
     upper = ((value >> SPLIT) + 1).bit_length() + (size + 1).bit_length()
     return upper <= ROOM and SPLIT + size.bit_length() <= ROOM

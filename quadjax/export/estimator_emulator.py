@@ -20,9 +20,9 @@ from quadjax.export.integers import (
     ONE,
     dense,
     hidden_output,
+    multiply_shift,
     quantize,
     round_shift,
-    scaled,
 )
 from quadjax.export.network import FixedLayer
 
@@ -68,7 +68,7 @@ class Filters:
         """No disturbance before the first sample (n, 13) float32, all steady until now."""
         self._tables = tables
         _, d = self._unexplained(measured)
-        self.s1 = -scaled(d, tables.gain, LOW_PASS_BITS)
+        self.s1 = -multiply_shift(d, tables.gain, LOW_PASS_BITS)
         self.s2 = self.s1.copy()
 
     def _unexplained(self, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -90,10 +90,12 @@ class Filters:
         """Moments and specific forces (n, 6) float32, N m and m/s^2, after a sample (n, 13)."""
         tables, (x, d) = self._tables, self._unexplained(measured)
         limit = 1 << FINE_BITS  # never reached: the converter bounds the output by the range
-        y = np.clip(scaled(x + d, tables.gain, LOW_PASS_BITS) + self.s1, -limit, limit)
-        straight = scaled(2 * x, tables.gain, LOW_PASS_BITS)
-        self.s1 = self.s2 + straight - scaled(y, tables.a1, Q30)
-        self.s2 = scaled(x - d, tables.gain, LOW_PASS_BITS) - scaled(y, tables.a2, Q30)
+        y = np.clip(multiply_shift(x + d, tables.gain, LOW_PASS_BITS) + self.s1, -limit, limit)
+        straight = multiply_shift(2 * x, tables.gain, LOW_PASS_BITS)
+        self.s1 = self.s2 + straight - multiply_shift(y, tables.a1, Q30)
+        self.s2 = multiply_shift(x - d, tables.gain, LOW_PASS_BITS) - multiply_shift(
+            y, tables.a2, Q30
+        )
         units = np.ldexp(1.0, np.asarray(tables.channel_exponents) - Q30)
         upper = (y >> (FINE_BITS - Q30)).astype(np.int32)
         return (upper.astype(np.float32) * units.astype(np.float32)).astype(np.float32)
@@ -140,15 +142,15 @@ class Battery:
         rpm, command, limit = q[:, :MOTORS], q[:, MOTORS:], self.highest[:, None]
 
         def towards(past: np.ndarray, now: np.ndarray) -> np.ndarray:
-            return past + scaled(now - past, tables.low_pass, tables.low_pass_shift)
+            return past + multiply_shift(now - past, tables.low_pass, tables.low_pass_shift)
 
         self.expected = towards(self.expected, np.minimum(command, limit))
         self.limited = towards(self.limited, np.where(command >= limit, 1 << BATTERY_BITS, 0))
-        lead = scaled(rpm - self.speed, tables.lead, tables.lead_shift)
+        lead = multiply_shift(rpm - self.speed, tables.lead, tables.lead_shift)
         error = self.speed + lead - self.expected
         self.speed = towards(self.speed, rpm)
-        weighted = scaled(error, self.limited // FINE, INPUT_BITS).sum(axis=1)
-        highest = self.highest + scaled(weighted, tables.gain, tables.gain_shift)
+        weighted = multiply_shift(error, self.limited // FINE, INPUT_BITS).sum(axis=1)
+        highest = self.highest + multiply_shift(weighted, tables.gain, tables.gain_shift)
         self.highest = np.clip(highest, tables.lowest, tables.highest)
 
 

@@ -13,7 +13,7 @@ from quadjax.core import quaternion
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.export.emulator import fixed_point_fly
-from quadjax.export.race_source import OwnRace
+from quadjax.export.race_source import PolicyRace
 from quadjax.export.race_tables import LAST_COMMAND, state_sizes
 from quadjax.export.states import observe
 from quadjax.policy import pilot
@@ -58,7 +58,7 @@ class Rollouts:
         )
 
 
-def simulate(race: OwnRace, runs: int = RUNS, laps: int = LAPS, seed: int = SEED) -> Rollouts:
+def simulate(race: PolicyRace, runs: int = RUNS, laps: int = LAPS, seed: int = SEED) -> Rollouts:
     """Simulate the float policy's mean actions from the random starts of training.
 
     The rows are those of all flights but the ones that lost control, or of all if every one did.
@@ -89,14 +89,14 @@ def _earlier(going: np.ndarray, depth: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _fly(
-    race: OwnRace, actor: Actor, runs: int, laps: int, seed: int, **options: bool
+    race: PolicyRace, actor: Actor, runs: int, laps: int, seed: int, **options: bool
 ) -> tuple[Laps, Trace | None]:
     options = {"from_hover": False} | options
     key = jax.random.key(seed)
     return fly_laps(race.choices, race.params, actor, race.pilot, key, laps, runs, **options)
 
 
-def _states(trace: Trace, race: OwnRace, going: np.ndarray, seed: int) -> np.ndarray:
+def _states(trace: Trace, race: PolicyRace, going: np.ndarray, seed: int) -> np.ndarray:
     """States (n, state_size) float32 of the steps (time, runs) that are ``going``."""
     model = race.choices.model
     sizes = state_sizes(race.choices.layout, model)
@@ -124,7 +124,7 @@ def _states(trace: Trace, race: OwnRace, going: np.ndarray, seed: int) -> np.nda
     return np.concatenate([rows[name] for name in sizes], axis=1).astype(np.float32)
 
 
-def check_finished(laps: Laps | None, race: OwnRace, who: str) -> str:
+def check_finished(laps: Laps | None, race: PolicyRace, who: str) -> str:
     """Check that at least the fraction ``FINISHED`` of a policy's flights finish.
 
     Returns:
@@ -144,7 +144,12 @@ def check_finished(laps: Laps | None, race: OwnRace, who: str) -> str:
 
 
 def fly_float_and_fixed(
-    race: OwnRace, policy: Policy, ranges: dict[str, float], runs: int, laps: int = 6, seed: int = 1
+    race: PolicyRace,
+    policy: Policy,
+    ranges: dict[str, float],
+    runs: int,
+    laps: int = 6,
+    seed: int = 1,
 ) -> tuple[Laps, Laps]:
     """Laps of the float policy and of the fixed-point one, from the same starts."""
     actors = (pilot.fly, fixed_point_fly(policy, ranges))
@@ -152,7 +157,7 @@ def fly_float_and_fixed(
     return as_float, as_fixed
 
 
-def wander(race: OwnRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def wander(race: PolicyRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """A path to every gate in turn, partly through the openings and partly outside them.
 
     Returns:

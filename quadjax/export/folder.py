@@ -9,7 +9,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, read_json
 from quadjax.export.conversion import Converted, Options, convert_policy, sha256
 from quadjax.export.names import CONFIG_FILE, POLICY_FILE, report_of, symbol_name
-from quadjax.export.race_source import own_race
+from quadjax.export.race_source import policy_race
 from quadjax.export.read import read_qjp
 from quadjax.export.report import report_text
 from quadjax.export.targets import find_target
@@ -37,7 +37,7 @@ def read_folder(path: Path, config: Config | Path | str | None = None) -> Conver
         config = load_config(path / CONFIG_FILE, code=())
     elif not isinstance(config, Config):
         config = load_config(config)
-    race = own_race(config, policy, CONFIG_FILE, file)
+    race = policy_race(config, policy, CONFIG_FILE, file)
     cases = read_qjp(path / f"{options.name}.qjp").cases
     converted = convert_policy(policy, race, options, file, path / POLICY_FILE, cases=cases)
     texts = {f"{options.name}_report.txt": text.encode("utf-8")}

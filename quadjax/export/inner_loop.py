@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from quadjax.core.yaml_files import parse_yaml, to_yaml
-from quadjax.export.race_source import OwnRace
+from quadjax.export.race_source import PolicyRace
 from quadjax.export.render import call_frequency
 from quadjax.export.targets import Target
 from quadjax.export.words import FixedPolicy
@@ -47,7 +47,7 @@ rpm_min to rpm_max: at hover and at the lowest and the highest command.""",
 }
 
 
-def inner_loop(policy: FixedPolicy, race: OwnRace, target: Target) -> str | None:
+def inner_loop(policy: FixedPolicy, race: PolicyRace, target: Target) -> str | None:
     """The text of the file; None for a policy that commands no inner loop.
 
     Args:

@@ -52,7 +52,7 @@ def round_shift(value: Array, shift: int) -> Array:
     return (value + (1 << (shift - 1))) >> shift
 
 
-def scaled(value: np.ndarray, factor: Array, shift: int) -> np.ndarray:
+def multiply_shift(value: np.ndarray, factor: Array, shift: int) -> np.ndarray:
     """``value * factor / 2**shift`` to the nearest integer, of values too long for one product."""
     upper, lower = value >> SPLIT, value & ((1 << SPLIT) - 1)
     return round_shift(upper * factor + ((lower * factor) >> SPLIT), shift - SPLIT)

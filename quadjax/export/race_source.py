@@ -26,7 +26,7 @@ Facts = dict[str, np.ndarray | str | int]  # a property of a race by its name
 
 
 @dataclasses.dataclass(frozen=True)
-class OwnRace:
+class PolicyRace:
     """The environment that a policy was trained in, and the policy in it."""
 
     choices: Choices
@@ -50,7 +50,7 @@ class OwnRace:
         return float(self.params.rules.time_step)
 
 
-def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") -> OwnRace:
+def policy_race(config: Config, policy: Policy, origin: str, name: str = "policy") -> PolicyRace:
     """The race of a configuration, with the observation and command range of a policy.
 
     Start headings are drawn around north, so that the flights are the same for every preset.
@@ -85,7 +85,7 @@ def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") 
     params = params.replace(vehicle=params.vehicle.replace(constants=constants), heading=None)
     pilot = make_pilot(choices, params, policy, deterministic=True)
     track, vehicle = (Path(p.name or p.file or "").name for p in (config.track, config.vehicle))
-    return OwnRace(choices, params, pilot, track, vehicle, origin, whole, residual or None)
+    return PolicyRace(choices, params, pilot, track, vehicle, origin, whole, residual or None)
 
 
 def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> Constants:
@@ -93,8 +93,8 @@ def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> C
     names = model.groups["limits"]
 
     def command_range(values: jax.Array) -> jax.Array:
-        scaled = constants.replace(**dict(zip(names, values, strict=True)))
-        return jnp.stack([jnp.asarray(x) for x in jax.tree.leaves(model.command_range(scaled))])
+        limited = constants.replace(**dict(zip(names, values, strict=True)))
+        return jnp.stack([jnp.asarray(x) for x in jax.tree.leaves(model.command_range(limited))])
 
     wanted = np.concatenate([policy.command_low, policy.command_high])
     ends = (jax.tree.leaves(end) for end in model.command_range(constants))
@@ -112,7 +112,7 @@ def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> C
     )
 
 
-def check_race(policy: Policy, race: OwnRace, file: Path) -> str:
+def check_race(policy: Policy, race: PolicyRace, file: Path) -> str:
     """Check that a race is the one in the policy's file, where the policy was trained.
 
     Vehicle, residual, track, gate test and time step are compared.
@@ -130,8 +130,8 @@ def check_race(policy: Policy, race: OwnRace, file: Path) -> str:
         difference = f"vehicle.residual is {named or 'null'} in training, {has} here"
     elif policy.config is not None or preset_of(policy):
         config, _ = race_of_policy(policy, file.name)
-        trained = _facts(own_race(config, policy, "the policy file", file.name))
-        difference = next(_differences(trained, _facts(race)), None)
+        training_facts = _facts(policy_race(config, policy, "the policy file", file.name))
+        difference = next(_differences(training_facts, _facts(race)), None)
         compared = "vehicle, track, gate test and time step are those of the policy file"
     else:
         compared = "the policy file names no race"
@@ -143,17 +143,17 @@ def check_race(policy: Policy, race: OwnRace, file: Path) -> str:
     return compared
 
 
-def _differences(trained: Facts, exported: Facts) -> Iterator[str]:
+def _differences(training: Facts, exported: Facts) -> Iterator[str]:
     """The differences between the properties of two races, as text."""
-    for name in trained | exported:
-        there, here = pair = [np.asarray(facts.get(name, "none")) for facts in (trained, exported)]
+    for name in training | exported:
+        there, here = pair = [np.asarray(facts.get(name, "none")) for facts in (training, exported)]
         if not np.array_equal(there, here):
             large = max(x.size for x in pair) > 8
             texts = ["other numbers" if large and x.dtype.kind != "U" else x for x in pair]
             yield f"{name} is {texts[0]} in training, {texts[1]} here"
 
 
-def _facts(race: OwnRace) -> Facts:
+def _facts(race: PolicyRace) -> Facts:
     """The properties by which two races are compared."""
     params = race.params
     parts = {"vehicle": params.vehicle, "track": params.track, "time_step": race.time_step}

@@ -213,7 +213,7 @@ def _spans(policy: Policy, box: InputBox) -> dict[str, Spans]:
     spans: dict[str, Spans] = {}
     for field in policy.layout.fields:
         base = split_name(field.name)[0]
-        if base in box.scaled:
+        if base in box.scaled_fields:
             span = [_span(policy, box, field, number) for number in range(field.size)]
             if spans.setdefault(base, span) != span:
                 raise InputError(f"the policy's layout: {field.name} has another span than {base}")

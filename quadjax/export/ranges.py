@@ -22,7 +22,7 @@ class InputBox:
 
     layout: Layout  # of the inputs
     exponent: dict[str, int]  # by field, also of fields that the policy does not observe
-    scaled: tuple[str, ...]  # fields that are scaled to [-1, 1] over their spans
+    scaled_fields: tuple[str, ...]  # fields that are scaled to [-1, 1] over their spans
 
     @property
     def exponents(self) -> tuple[int, ...]:
@@ -41,7 +41,11 @@ class InputBox:
 
     def unit(self, field: str) -> str:
         """The unit of a field's inputs."""
-        return "of its range" if split_name(field)[0] in self.scaled else self.layout[field].unit
+        return (
+            "of its range"
+            if split_name(field)[0] in self.scaled_fields
+            else self.layout[field].unit
+        )
 
     def limit(self, field: str) -> float:
         """The half-width of a field's range, in its unit."""
@@ -113,8 +117,8 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
                 "such as 8 or 0.5"
             )
     exponents = {name: math.frexp(value)[1] - 1 for name, value in ranges.items()}
-    scaled = (model.actuators.name, *DISTURBANCES, LAST_ACTION, HIGHEST_RPM)
-    return InputBox(policy.layout, exponents, scaled)
+    scaled_fields = (model.actuators.name, *DISTURBANCES, LAST_ACTION, HIGHEST_RPM)
+    return InputBox(policy.layout, exponents, scaled_fields)
 
 
 def next_gates(track: Track) -> dict[str, np.ndarray]:

@@ -268,7 +268,7 @@ def _state_field(row: np.ndarray, exponents: np.ndarray) -> tuple[str, tuple[int
 def _box(parts: np.ndarray, vehicle: str) -> InputBox:
     """The declared ranges, by field."""
     units = {field.name: (field.unit, field.frame) for field in fields_of(MODELS[vehicle]).values()}
-    fields, scaled, exponent = [], [], {}
+    fields, scaled_fields, exponent = [], [], {}
     for part in parts:
         name, kind = _string(part["name"]), int(part["kind"])
         if not 1 <= kind <= len(KINDS):
@@ -276,8 +276,8 @@ def _box(parts: np.ndarray, vehicle: str) -> InputBox:
         exponent[name] = int(part["exponent"])
         unit, frame = units.get(split_name(name)[0], ("", ""))
         fields.append(ObservedField(name, int(part["size"]), unit, frame, 2.0 ** exponent[name]))
-        scaled += [split_name(name)[0]] if KINDS[kind - 1] == "scaled" else []
-    return InputBox(Layout(tuple(fields)), exponent, tuple(scaled))
+        scaled_fields += [split_name(name)[0]] if KINDS[kind - 1] == "scaled" else []
+    return InputBox(Layout(tuple(fields)), exponent, tuple(scaled_fields))
 
 
 def _input(part: np.ndarray, numbers: np.ndarray) -> Input:

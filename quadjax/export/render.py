@@ -6,7 +6,7 @@ from collections.abc import Iterable
 import jax
 import numpy as np
 
-from quadjax.export.race_source import OwnRace
+from quadjax.export.race_source import PolicyRace
 from quadjax.export.race_tables import FIELDS
 from quadjax.export.suitability import observed_fields
 from quadjax.export.targets import RUNTIME
@@ -96,7 +96,7 @@ def call_frequency(policy: FixedPolicy) -> int:
     return 512 if estimator is None else round(1e9 / estimator.period_ns)
 
 
-def glue_header(policy: FixedPolicy, race: OwnRace) -> str:
+def glue_header(policy: FixedPolicy, race: PolicyRace) -> str:
     """``quadjax_policy.h``: what the glue of an autopilot needs of its policy."""
     track = race.params.track
     drone = episode.hover_start(race.choices, race.params).drone

@@ -11,7 +11,7 @@ import numpy as np
 from quadjax.core import quaternion
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.export.race_source import OwnRace
+from quadjax.export.race_source import PolicyRace
 from quadjax.export.race_tables import LAST_COMMAND, state_sizes
 from quadjax.policy import pilot
 from quadjax.policy.pilot import command_ranges
@@ -57,7 +57,7 @@ def _attitude(values: dict[str, list[jax.Array]], as_quaternion: bool) -> list[j
 
 
 def observe(
-    race: OwnRace, states: np.ndarray, targets: np.ndarray, earlier: np.ndarray | None = None
+    race: PolicyRace, states: np.ndarray, targets: np.ndarray, earlier: np.ndarray | None = None
 ) -> np.ndarray:
     """Observations (n, inputs) float32 of states (n, state_size) towards targets (n,).
 
@@ -97,7 +97,7 @@ def observe(
     return np.asarray(observed(states, targets, earlier, states))
 
 
-def observe_float64(race: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
+def observe_float64(race: PolicyRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """As ``observe``, with states and parameters in float64: the rounding of float32 differs."""
 
     def exact(leaf: Any) -> Any:

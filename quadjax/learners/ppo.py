@@ -163,10 +163,10 @@ def collect(
 
     def interval(state: Any, key: jax.Array) -> tuple[Any, tuple[Steps, jax.Array]]:
         fresh, noise = draw(task, key, shape)
-        scaled = jnp.broadcast_to(jnp.exp(params.log_std), shape) * noise
-        state, steps = rollout(task, params, params, state, fresh, scaled)
+        deviation = jnp.broadcast_to(jnp.exp(params.log_std), shape) * noise
+        state, steps = rollout(task, params, params, state, fresh, deviation)
         # The density of an action about its mean is that of its noise about zero.
-        return state, (steps, log_probability(scaled, jnp.zeros(shape), params.log_std))
+        return state, (steps, log_probability(deviation, jnp.zeros(shape), params.log_std))
 
     keys = jax.random.split(key, total // length)
     environment_state, steps = jax.lax.scan(interval, state.environment, keys)
@@ -232,5 +232,5 @@ def loss(
 def log_probability(action: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
     """Log density (...) of an action (..., k) under independent normal distributions."""
     log_std = jnp.broadcast_to(log_std, action.shape)
-    scaled = (action - mean) * jnp.exp(-log_std)
-    return -0.5 * jnp.sum(scaled**2 + 2.0 * log_std + jnp.log(2.0 * jnp.pi), axis=-1)
+    deviation = (action - mean) * jnp.exp(-log_std)
+    return -0.5 * jnp.sum(deviation**2 + 2.0 * log_std + jnp.log(2.0 * jnp.pi), axis=-1)

@@ -90,10 +90,10 @@ def solve(
         np.maximum(np.abs(low), np.abs(high)),
     )
     durations = program.variable(len(guess.leg_times))
-    scaled = [program.variable(len(scale), len(guess.states)) for scale in scales]
-    x, u = (variable * scale for variable, scale in zip(scaled, scales, strict=True))
+    nodes = [program.variable(len(scale), len(guess.states)) for scale in scales]
+    x, u = (variable * scale for variable, scale in zip(nodes, scales, strict=True))
     program.set_initial(durations, guess.leg_times)
-    for variable, table, scale in zip(scaled, (guess.states, guess.commands), scales, strict=True):
+    for variable, table, scale in zip(nodes, (guess.states, guess.commands), scales, strict=True):
         program.set_initial(variable, (table / scale).T)
     bound(program, durations, *LEG_SECONDS)
     bound(program, u, *(end[:, None] for end in ends))

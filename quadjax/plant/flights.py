@@ -102,8 +102,8 @@ def race_config(config: Config, policy: Policy) -> Config:
     battery = config.battery
     if policy.config is not None:
         parts = {key: policy.config[key] for key in PARTS if key in policy.config}
-        trained = stored_config(parts, "policy file")
-        vehicle, battery = vehicle.replace(constants=trained.vehicle.constants), trained.battery
+        training = stored_config(parts, "policy file")
+        vehicle, battery = vehicle.replace(constants=training.vehicle.constants), training.battery
     return config.replace(
         vehicle=vehicle.replace(mismatch={}),
         battery=battery,
@@ -123,21 +123,21 @@ def plan_logs(
     )
 
 
-def check_steps(layout: Layout, trained: float, step: float) -> None:
+def check_steps(layout: Layout, training_step: float, step: float) -> None:
     """Check that a policy that observes earlier steps flies in steps of its training.
 
     Args:
         layout: of the policy.
-        trained: time step of the training, s.
+        training_step: time step of the training, s.
         step: of the control loop, s.
 
     Raises:
         InputError: a history or a last action, and another step.
     """
-    if layout.counts_steps and abs(step / trained - 1.0) > SAME_STEP:
+    if layout.counts_steps and abs(step / training_step - 1.0) > SAME_STEP:
         raise InputError(
-            f"the policy observes earlier steps of {trained:g} s, the drone's control steps are "
-            f"{step:g} s: add control_rate={1.0 / trained:g}"
+            f"the policy observes earlier steps of {training_step:g} s, the drone's control steps "
+            f"are {step:g} s: add control_rate={1.0 / training_step:g}"
         )
 
 

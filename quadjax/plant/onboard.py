@@ -96,16 +96,16 @@ def begin(
 ) -> OnboardState:
     """The initial state of a drone; ``draws`` holds (sensors.START_DRAWS,) normal numbers."""
     truth = plant.truth_of(body, state)
-    sensed = filtered = measured = None
+    sensor_state = filtered = measured = None
     if params.navigation == "ekf":
-        sensed, measured = sensors.init(params.sensors, truth, draws)
+        sensor_state, measured = sensors.init(params.sensors, truth, draws)
         filtered = ekf.init(params.ekf, measured)
     now = _estimate(params, truth, measured, filtered)
     estimated = disturbance.init(params.estimator, now.measurement)
     inner = indi.init(params.inner, now.measurement)
     limit = battery.begin(params.limit, now.measurement.rpm, params.first_limit)
     line = (truth,) * body.measurement_delay
-    return OnboardState(line, sensed, filtered, estimated, inner, limit, now)
+    return OnboardState(line, sensor_state, filtered, estimated, inner, limit, now)
 
 
 def sense(
@@ -127,9 +127,9 @@ def sense(
         draws: (sensors.DRAWS,) standard normal numbers.
     """
     truth, *waiting = (*onboard.delayed, plant.truth_of(body, state))
-    sensed, filtered, measured = onboard.sensors, onboard.ekf, None
-    if sensed is not None and filtered is not None:
-        sensed, measured = sensors.update(params.sensors, sensed, truth, draws)
+    sensor_state, filtered, measured = onboard.sensors, onboard.ekf, None
+    if sensor_state is not None and filtered is not None:
+        sensor_state, measured = sensors.update(params.sensors, sensor_state, truth, draws)
         filtered = ekf.update(params.ekf, filtered, measured)
     now = _estimate(params, truth, measured, filtered)
     estimated, moment, force = disturbance.update(
@@ -141,7 +141,9 @@ def sense(
         moment, force = Vec3.zero(), Vec3.zero()
     now = now.replace(motion=now.motion.replace(moment_ext=moment, force_ext=force))
     limit = battery.update(params.limit, onboard.limit, now.measurement.rpm, command)
-    return OnboardState(tuple(waiting), sensed, filtered, estimated, onboard.inner, limit, now)
+    return OnboardState(
+        tuple(waiting), sensor_state, filtered, estimated, onboard.inner, limit, now
+    )
 
 
 def _estimate(

@@ -97,13 +97,13 @@ def build_plant(config: PlantConfig) -> PlantParams:
     residual = None if config.residual is None else read_residual(config.residual)
     nominal = nominal_vehicle(config).motor
     factors, rotor_factors = drawn_factors(config)
-    scaled = {
+    drawn_constants = {
         name: jnp.float32(getattr(nominal, name) * factor) for name, factor in factors.items()
     }
     fixed = {name: jnp.float32(getattr(nominal, name)) for name in NOT_DRAWN}
     hover, effects, rate = hover_rpm(nominal), config.effects, config.sample_rate
     return PlantParams(
-        vehicle=VehicleParams(MotorConstants(**scaled, **fixed), residual),
+        vehicle=VehicleParams(MotorConstants(**drawn_constants, **fixed), residual),
         rotor_factor=Rotors(*(jnp.float32(x) for x in rotor_factors)),
         effects=as_leaves(effects),
         airframe=draw_airframe(config.airframe, config.constants.seed),

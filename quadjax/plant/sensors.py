@@ -199,9 +199,9 @@ def _filter(
 ) -> tuple[InertialState, Vec3]:
     """Bias, noise, then the low-pass in transposed direct form II."""
     deviation = params.errors.noise * jnp.sqrt(0.5 / params.step)
-    sensed = true + state.bias + Vec3.of(noise) * deviation
+    signal = true + state.bias + Vec3.of(noise) * deviation
     memory = (state.memory_1, state.memory_2)
-    out, memory = advance(params.low_pass.feedback, [(sensed, params.low_pass.forward)], memory)
+    out, memory = advance(params.low_pass.feedback, [(signal, params.low_pass.forward)], memory)
     return InertialState(state.bias, *memory), out
 
 

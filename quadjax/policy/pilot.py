@@ -115,8 +115,8 @@ def make_pilot(choices: Choices, params: RaceParams, policy: Policy, determinist
     """
     vehicle = command_ranges(choices, params)
     # Rounded as the environment's numbers are: equal ranges convert by exactly one and zero.
-    trained = _rounded(policy.command_low, policy.command_high)
-    act_scale, act_offset = _between(trained, vehicle)
+    training_range = _rounded(policy.command_low, policy.command_high)
+    act_scale, act_offset = _between(training_range, vehicle)
     see_scale, see_offset = _observation_scale(
         choices.layout.with_spans(choices.model, params), policy.layout
     )
@@ -128,10 +128,10 @@ def _observation_scale(environment: Layout, training: Layout) -> Ranges:
     """Scale and offset from what an environment shows to what a policy was trained with."""
     scale, offset = np.ones(training.size), np.zeros(training.size)
     for field in training.fields:
-        span, trained = environment[field.name].span, field.span
-        if span is None or trained is None or field.name in DISTURBANCES:
+        span, training_span = environment[field.name].span, field.span
+        if span is None or training_span is None or field.name in DISTURBANCES:
             continue
-        here, there = _rounded(*np.transpose(span)), _rounded(*np.transpose(trained))
+        here, there = _rounded(*np.transpose(span)), _rounded(*np.transpose(training_span))
         columns = training.slice(field.name)
         scale[columns], offset[columns] = _between(here, there)
     return scale, offset

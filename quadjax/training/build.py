@@ -195,14 +195,14 @@ def _rescaled(
     layers: Weights, inputs: Sequence[float] = (), output: float = 1.0
 ) -> tuple[Layer, ...]:
     """A network's layers with its inputs multiplied by ``inputs`` and its outputs by ``output``."""
-    scaled = [(jnp.asarray(kernel), jnp.asarray(bias)) for kernel, bias in layers]
+    new_layers = [(jnp.asarray(kernel), jnp.asarray(bias)) for kernel, bias in layers]
     if inputs:
-        kernel, bias = scaled[0]
-        scaled[0] = (jnp.asarray(inputs, jnp.float32)[:, None] * kernel, bias)
+        kernel, bias = new_layers[0]
+        new_layers[0] = (jnp.asarray(inputs, jnp.float32)[:, None] * kernel, bias)
     if output != 1.0:
-        kernel, bias = scaled[-1]
-        scaled[-1] = (output * kernel, output * bias)
-    return tuple(scaled)
+        kernel, bias = new_layers[-1]
+        new_layers[-1] = (output * kernel, output * bias)
+    return tuple(new_layers)
 
 
 def network_policy(config: Config, params: ActorCritic) -> PolicyParams:

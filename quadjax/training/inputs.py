@@ -56,10 +56,10 @@ def read_starts(config: Config, params: RaceParams) -> RecordedStarts | None:
     if model.uses_start_thrust:
         ends = config.start.thrust
     low, high = (np.array(jax.tree.leaves(end), np.float64) for end in ends)
-    scaled = np.clip(2.0 * (arrays["actuators"] - low) / (high - low) - 1.0, -1.0, 1.0)
+    levels = np.clip(2.0 * (arrays["actuators"] - low) / (high - low) - 1.0, -1.0, 1.0)
     return RecordedStarts(
         motion=Motion(*(Vec3.of(jnp.asarray(arrays[key], jnp.float32)) for key in MOTION)),
-        actuators=jnp.asarray(scaled, jnp.float32),
+        actuators=jnp.asarray(levels, jnp.float32),
         target=jnp.asarray(target, jnp.int32),
         fraction=jnp.float32(config.run.start_states_part),
     )

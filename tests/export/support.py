@@ -16,7 +16,7 @@ from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.convert import export_c
 from quadjax.export.disturbances import SAMPLE_RATE, make_estimator
 from quadjax.export.network import FixedNetwork, convert
-from quadjax.export.race_source import OwnRace
+from quadjax.export.race_source import PolicyRace
 from quadjax.export.race_tables import make_tables, state_sizes
 from quadjax.export.ranges import track_ranges
 from quadjax.export.states import observe
@@ -69,16 +69,16 @@ def config_of(name: str, *overrides: str) -> Config:
 
 
 @functools.cache
-def made(name: str, hidden: tuple[int, ...] = (8,), gain: float = 0.5) -> tuple[Policy, OwnRace]:
+def made(name: str, hidden: tuple[int, ...] = (8,), gain: float = 0.5) -> tuple[Policy, PolicyRace]:
     """A made-up policy of one of ``RACES``, and its race."""
     config = config_of(name)
     shapes = jax.eval_shape(make_networks(config).init, jax.random.key(0))
     zeros = jax.tree.map(lambda x: np.zeros(x.shape, np.float32), shapes)
     policy = with_weights(policy_of(config, zeros, {}), hidden, gain)
-    return policy, race_source.own_race(config, policy, "test")
+    return policy, race_source.policy_race(config, policy, "test")
 
 
-def random_states(policy: Policy, own: OwnRace, count: int, seed: int = 0) -> np.ndarray:
+def random_states(policy: Policy, own: PolicyRace, count: int, seed: int = 0) -> np.ndarray:
     """States that a race may meet, (n, state_size) float32; quaternions of length one."""
     rng, parts = np.random.default_rng(seed), []
     low, high = policy.command_low, policy.command_high
@@ -97,12 +97,12 @@ def random_states(policy: Policy, own: OwnRace, count: int, seed: int = 0) -> np
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-def random_targets(own: OwnRace, count: int) -> np.ndarray:
+def random_targets(own: PolicyRace, count: int) -> np.ndarray:
     """Target gates (n,) of such states."""
     return np.random.default_rng(1).integers(0, len(own.params.track.yaw), count)
 
 
-def random_rollouts(own: OwnRace, velocity: float = 1.0) -> flights.Rollouts:
+def random_rollouts(own: PolicyRace, velocity: float = 1.0) -> flights.Rollouts:
     """Rows in place of those of 32 flights, of which none finished a lap."""
     rng, count = np.random.default_rng(0), 50
     size = sum(state_sizes(own.choices.layout, own.choices.model).values())
@@ -115,7 +115,13 @@ def random_rollouts(own: OwnRace, velocity: float = 1.0) -> flights.Rollouts:
 
 
 def fixed_policy(
-    policy: Policy, own: OwnRace, states=None, targets=None, battery=None, estimator=None, **changes
+    policy: Policy,
+    own: PolicyRace,
+    states=None,
+    targets=None,
+    battery=None,
+    estimator=None,
+    **changes,
 ) -> FixedPolicy:
     """A policy as integers; fields of its race's tables may be changed."""
     wide = {"position": 32.0} if "position" in policy.layout else {}
@@ -149,7 +155,7 @@ def library(policy: FixedPolicy, folder: Path) -> Library:
     return Library(sources, policy, pack(policy), folder)
 
 
-def converted_in(folder: Path, policy: Policy, own: OwnRace, target: str, rate=500.0, **more):
+def converted_in(folder: Path, policy: Policy, own: PolicyRace, target: str, rate=500.0, **more):
     """A policy converted, with its C in a folder, without the simulated flights of an export."""
     folder.mkdir(exist_ok=True)
     path = folder / "policy.npz"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from quadjax.core.resources import PRETRAINED
-from quadjax.export.race_source import own_race
+from quadjax.export.race_source import policy_race
 from quadjax.export.verify import autopilot
 from quadjax.plant.config import load_plant_config
 from quadjax.policy.file import Policy
@@ -41,7 +41,7 @@ def test_a_whole_race_through_the_glue(name, sanitized, tmp_path, monkeypatch):
         faults = Faults(drop=0.1, late=0.1, delay=PERIOD if on_plant else 5 * PERIOD)
     policy = Policy.load(path)
     config, origin = race_of_policy(policy)
-    converted = converted_in(tmp_path, policy, own_race(config, policy, origin), target, 512.0)
+    converted = converted_in(tmp_path, policy, policy_race(config, policy, origin), target, 512.0)
     monkeypatch.setattr(run, "read_folder", lambda *_: converted)
     plant = load_plant_config("standin") if on_plant else None
     flown = fly_all(Setting(tmp_path, plant, laps=1, faults=faults), threading.Event())

@@ -14,7 +14,7 @@ from quadjax.export.disturbances import make_estimator
 from quadjax.export.estimator_emulator import FINE, Battery, estimate, estimate_highest
 from quadjax.export.integers import quantize
 from quadjax.export.network import convert
-from quadjax.export.race_source import own_race
+from quadjax.export.race_source import policy_race
 from quadjax.export.verify import measurements
 from quadjax.race import environment
 from quadjax.sil.message import RPM_PER_RAD_S
@@ -131,7 +131,7 @@ def reacting():
     first = np.concatenate([0.6 * first[:-1], np.linspace(-2.0, 2.0, 8)[None]]).astype(np.float32)
     layers = ((first, bias + np.float32(0.5)), (last, np.float32([1.1, 1.0, 0.9, 1.0])))
     policy = dataclasses.replace(policy, layers=layers)
-    return policy, own_race(own.config, policy, "test")
+    return policy, policy_race(own.config, policy, "test")
 
 
 def begun(world):

@@ -45,7 +45,7 @@ def rearranged(names, source="ground_truth"):
     fields = [policy.layout[name] for name in names]
     fields = [dataclasses.replace(f, source=source if f.source else "") for f in fields]
     policy = dataclasses.replace(policy, layout=Layout(tuple(fields)))
-    return policy, race_source.own_race(own.config, policy, "test")
+    return policy, race_source.policy_race(own.config, policy, "test")
 
 
 def observing(name):
@@ -127,7 +127,7 @@ WANDERING = {  # the policy, and overrides of its race
 def test_gates_along_a_wandering_path_are_the_simulators(kind, tmp_path):
     name, overrides = WANDERING[kind]
     policy, _ = made(name)
-    own = race_source.own_race(config_of(name, *overrides), policy, "test")
+    own = race_source.policy_race(config_of(name, *overrides), policy, "test")
     _, tables = tables_of(policy, own, {"next_yaw": 8.0})
     assert tables.world_box == (kind == "world box")
     level = tables.track["axes"][:, [2, 5, 6, 7]] == 0
@@ -159,14 +159,14 @@ def test_a_policys_own_limits_are_the_vehicles():
         policy, own = made(name)
         low = policy.command_low if name == "e2e" else -np.array([3.0, 3.0, 2.0, 0.0])
         changed = dataclasses.replace(policy, command_low=low, command_high=np.array(high))
-        constants = race_source.own_race(own.config, changed, "test").params.vehicle.constants
+        constants = race_source.policy_race(own.config, changed, "test").params.vehicle.constants
         assert {key: float(getattr(constants, key)) for key in limits} == limits
 
 
 def test_a_gate_far_away_widens_the_ranges(tmp_path):
     policy, near = made("e2e")
     far = config_of("e2e", "track.gates=[{position: [-9, 0, -2]}, {position: [9, 0, -2]}]")
-    own = race_source.own_race(far, policy, "test")
+    own = race_source.policy_race(far, policy, "test")
     wide = {"position": 32.0, "next_position": 32.0}
     assert track_ranges(policy.layout, own.params.track) == wide
     assert track_ranges(policy.layout, near.params.track) == {}

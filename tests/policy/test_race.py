@@ -30,8 +30,8 @@ def races(monkeypatch):
     for module, name in (
         (sources, "evaluate"),
         (assembly, "race_of"),
-        (convert, "own_race"),
-        (race_source, "own_race"),
+        (convert, "policy_race"),
+        (race_source, "policy_race"),
     ):
         monkeypatch.setattr(module, name, stop)
     return seen

@@ -16,7 +16,7 @@ import pytest
 from quadjax.cli import sil as command
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
-from quadjax.export.race_source import own_race
+from quadjax.export.race_source import policy_race
 from quadjax.export.verify import toolchain
 from quadjax.export.verify.build import Sources, pointers
 from quadjax.flights import load
@@ -40,7 +40,7 @@ def on_the_plant(folder):
     """A shipped policy on the stand-in plant, with its own estimator."""
     policy = Policy.load(PRETRAINED / "e2e_adaptive.npz")
     config, origin = race_of_policy(policy)
-    race = own_race(config, policy, origin)
+    race = policy_race(config, policy, origin)
     return converted_in(folder, policy, race, "cortex-a9", 512.0), load_plant_config("standin")
 
 
