@@ -263,8 +263,8 @@ def check_writable(path: Path, suffixes: Sequence[str] = (), overwrite: bool = T
         if path.exists():
             check_file(path)
         if not path.parent.is_dir():
-            raise InputError(f"{path}: there is no folder {path.parent}, expected an existing one")
+            raise InputError(f"{path}: the folder {path.parent} does not exist")
         if not os.access(path.parent, os.W_OK):
             raise InputError(f"{path}: cannot be written (no permission in {path.parent})")
     if path.exists() and not overwrite:
-        raise InputError(f"{path}: exists already, allowed: another name, or --overwrite")
+        raise InputError(f"{path}: already exists, allowed: another name, or --overwrite")

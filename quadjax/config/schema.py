@@ -129,7 +129,7 @@ class Run(Section):
         "or by its path; quadjax improve and quadjax limit --npz write such files",
     )
     start_states_part: float = Field(
-        0.5, ge=0, le=1, description="part of the episodes that start in run.start_states"
+        0.5, ge=0, le=1, description="fraction of the episodes that start in run.start_states"
     )
     evaluate_every: int = Field(
         500_000, ge=1, le=10**12, description="environment steps between evaluations (one chunk)"

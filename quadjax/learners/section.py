@@ -197,7 +197,7 @@ def _with_leaf(params: Any, key: str, value: float | None) -> Any:
     paths = {jax.tree_util.keystr(path, simple=True, separator="."): path for path in leaves}
     if key not in paths:
         raise InputError(
-            f"schedules: {key} is no hyperparameter and no number of the environment's params"
+            f"schedules: {key} is neither a hyperparameter nor a number of the environment's params"
             f"{close_match(key, list(paths))}"
         )
     if value is not None:

@@ -135,8 +135,8 @@ class Policy:
 
             if config is None:
                 raise InputError(
-                    f"{path}: not a policy file, expected a config too, of the race that the "
-                    "network was trained in"
+                    f"{path}: not a policy file, so it also needs the config of the race that "
+                    "the network was trained in"
                 )
             return policy_of(path, config, activation, std)
         return _read(path)

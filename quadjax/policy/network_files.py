@@ -115,7 +115,7 @@ def _layers(path: Path | str, arrays: Arrays, names: tuple[re.Pattern[str], str]
     used = {match[0]: match.expand(biases) for match in matches}
     if others := set(arrays) - {*used, *used.values()}:
         raise InputError(
-            f"{path}: {min(others)} is not of a linear layer, expected only linear layers"
+            f"{path}: {min(others)} does not belong to a linear layer, expected only linear layers"
         )
     numbered: dict[str, np.ndarray] = {}
     for index, (name, bias) in enumerate(used.items()):
@@ -160,8 +160,8 @@ def read_state_dict(path: Path | str, member: str | None = None) -> dict[str, np
     check_file(path)
     if not zipfile.is_zipfile(path):
         raise InputError(
-            f"{path}: no zip archive, perhaps in the legacy format of PyTorch: load it and save it "
-            "again with torch.save"
+            f"{path}: not a zip archive, perhaps in the legacy format of PyTorch: load it and save "
+            "it again with torch.save"
         )
     try:
         with zipfile.ZipFile(path) as archive:
@@ -179,7 +179,7 @@ def read_state_dict(path: Path | str, member: str | None = None) -> dict[str, np
         raise InputError(f"{path}: holds a {type(tensors).__name__}, expected tensors by name")
     for key, value in tensors.items():
         if not isinstance(key, str) or not isinstance(value, np.ndarray):
-            raise InputError(f"{path}: {key!r:.60} is no tensor, expected a state dict")
+            raise InputError(f"{path}: {key!r:.60} is not a tensor, expected a state dict")
     return dict(tensors)
 
 

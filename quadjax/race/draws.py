@@ -17,7 +17,7 @@ from quadjax.vehicle.protocol import Motion, VehicleModel
 
 HalfWidth = Annotated[float, Field(ge=0, le=1e6)]
 Share = Annotated[float, Field(ge=0, le=0.9)]
-FROM_GROUND = 0.1  # default part of the episodes that begin on the ground, where races do
+FROM_GROUND = 0.1  # default fraction of the episodes that begin on the ground, where races do
 
 
 @register
@@ -46,9 +46,9 @@ class Start(Section):
         None,
         ge=0,
         le=1,
-        description="part of the episodes that begin as a race: at rest at the track's start (or "
-        "in the last gate), x and y within 0.5 m, yaw within 45 deg; null: 0.1 where the track's "
-        "start is on the ground, else 0",
+        description="fraction of the episodes that begin as a race: at rest at the track's start "
+        "(or in the last gate), x and y within 0.5 m, yaw within 45 deg; null: 0.1 where the "
+        "track's start is on the ground, else 0",
     )
     position: Annotated[HalfWidth, Unit("m")] = Field(
         0.5, description="half-width about the point on the leg, m"

@@ -52,7 +52,7 @@ class Reward(Section):
     )
     gate_edge_reach: Annotated[Penalty, Unit("m")] = Field(
         1.0,
-        description="clearance violation in each axis from which on the penalty is constant, m; at "
+        description="clearance violation in each axis above which the penalty is constant, m; at "
         "least that at the edge of a widened opening",
     )
     action_change: Annotated[Penalty, UnusedAtZero()] = Field(
@@ -74,7 +74,10 @@ class Reward(Section):
         "multiple of reward.progress; above 1, flying faster gains less than it loses",
     )
     overspeed_margin: float = Field(
-        0.03, ge=0, le=0.9, description="part of rules.speed_limit from which on overspeed applies"
+        0.03,
+        ge=0,
+        le=0.9,
+        description="overspeed applies above 1 minus this fraction of rules.speed_limit",
     )
     terms: Annotated[dict[str, Weight], Code()] = Field(
         {}, max_length=100, description="weights of your own reward terms, by module:function"

@@ -57,7 +57,7 @@ def test_training_finds_the_best_action(name, caplog):
 
 WRONG = (
     ({"steps": 0}, "steps is 0, allowed: an integer, 1 "),
-    ({"schedules": {"learning_rat": [1.0, 0.0]}}, "learning_rat is no hyperparameter and no numb"),
+    ({"schedules": {"learning_rat": [1.0, 0.0]}}, "learning_rat is neither a hyperparameter nor"),
     ({"schedules": {"num_epochs": [2, 3]}}, "num_epochs cannot be scheduled"),
 )
 

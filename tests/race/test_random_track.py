@@ -90,7 +90,7 @@ def test_the_command_writes_and_describes_a_track(tmp_path, capsys):
     loaded = load_config(PRESET, [f"track={file}"])
     assert loaded.track.gates == generate(4, gates=6).track.gates
     assert run("show", file, "seed=5", "--write", "track") == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
 
 
 KEYS = [

@@ -71,7 +71,7 @@ def test_a_file_from_data(tmp_path, capsys):
     config = load_config("e2e", [f"vehicle={path}"])  # needs no constants of the rate model
     assert config.vehicle.name == "mine" and config.vehicle.constants["tau"] == 0.03
     assert run("show", path, "--write", "vehicle", *DATA) == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
 
 
 def test_a_rate_model_alone(tmp_path, capsys):
