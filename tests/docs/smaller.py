@@ -25,7 +25,9 @@ def smaller(text: str, changes: list[tuple[str, str]]) -> str:
 
 def short_overrides(name: str, overrides: list[str] | tuple[str, ...] = ()) -> list[str]:
     """The overrides that make a training short; an own learner keeps its hyperparameters."""
-    return [*OF_EACH, *OF_LEARNER.get(load(name, overrides).learner.algorithm, ())]
+    config = load(name, overrides)
+    tracks = [] if config.randomization.tracks is None else ["randomization.tracks.count=8"]
+    return [*OF_EACH, *OF_LEARNER.get(config.learner.algorithm, ()), *tracks]
 
 
 def load_short(name: str, overrides: list[str] | tuple[str, ...] = ()) -> quadjax.Config:

@@ -1,17 +1,19 @@
 """Every Python and shell block of the README and of the user guide is run, with short trainings.
 
-The trainings of the quickstart run; those of the other pages are traced, leave the
-policy as it begins, and end without a lap table. ``compare``, ``improve`` and ``limit``, which take
-minutes, read their arguments and files only: ``tests/plant``, ``tests/improve`` and
-``tests/limits`` run them. The blocks of a page run in order in one folder. Python blocks
-share a namespace; a block with a title is written to a file of that name; shell blocks consist of
-``quadjax`` commands.
+The trainings of the quickstart run; those of the other pages leave the policy as it begins, write
+no checkpoint, and end without a lap table: their race is traced, and one update of each kind of
+learner. ``compare``, ``improve`` and ``limit``, which take minutes, read their arguments and files
+only: ``tests/plant``, ``tests/improve`` and ``tests/limits`` run them. The blocks of a page run in
+order in one folder. Python blocks share a namespace; a block with a title is written to a file of
+that name; shell blocks consist of ``quadjax`` commands.
 """
 
+import dataclasses
 import re
 import shlex
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import jax
@@ -22,11 +24,15 @@ import yaml
 from matplotlib.figure import Figure
 
 from quadjax import compare, improve
+from quadjax.config.assembly import make_choices
 from quadjax.evaluation import training
 from quadjax.learners import parallel
 from quadjax.limits import result as limit
+from quadjax.race.environment import make_environment
 from quadjax.race.laps import Laps
 from quadjax.training import run as training_run
+from quadjax.training.build import make_networks, start_state
+from quadjax.training.checkpoint import Checkpoints
 from tests.commands import run
 from tests.docs.pages import GUIDE, ROOT, blocks_of, name_of
 from tests.docs.smaller import CODE, WIDE, load_short, short_overrides, smaller
@@ -79,13 +85,58 @@ def folder(tmp_path, monkeypatch):
             del sys.modules[name]
 
 
-def traced_chunk(learner, mesh, updates, params, state):
+METRICS = {}  # of an update, by what learner it is of
+
+
+def traced_race(config, params):
+    """Trace a reset, an observation and a step of a training."""
+    environment = make_environment(make_choices(config))
+    state = jax.eval_shape(environment.reset, params, jax.random.key(0))
+    jax.eval_shape(environment.observe, params, state)
+    jax.eval_shape(environment.step, params, state, jnp.zeros(environment.action_size))
+
+
+def first_state(config, learner, params, initial=None):
+    """As ``build.start_state``: the networks, and zeros for all else."""
+
+    def zeros(leaf):
+        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        return jnp.broadcast_to(jax.random.key(0) if is_key else leaf.dtype.type(0), leaf.shape)
+
+    def begin(hyper, params, key):
+        state = jax.tree.map(zeros, jax.eval_shape(learner.init, hyper, params, key))
+        networks = make_networks(config).init(key)
+        copies = [name for name in ("params", "target", "ema") if getattr(state, name) is not None]
+        return dataclasses.replace(state, **dict.fromkeys(copies, networks))
+
+    return start_state(config, dataclasses.replace(learner, init=begin), params, initial)
+
+
+def unchanged(learner, mesh, updates, params, state):
     """As ``parallel.compile_chunk``, of updates that change nothing."""
-    with jax.set_mesh(mesh):
-        many = parallel.repeat(learner, updates)
-        _, metrics = jax.eval_shape(many, learner.hyper, params, state)
-    zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), metrics)
+    kind = jax.tree.structure((learner.hyper, state.optimizer))
+    if kind not in METRICS:
+        with jax.set_mesh(mesh):
+            METRICS[kind] = jax.eval_shape(learner.update, learner.hyper, params, state)[1]
+    zeros = {name: jnp.zeros((updates, *x.shape), x.dtype) for name, x in METRICS[kind].items()}
     return lambda _, state: (state, zeros)
+
+
+def in_this_process(command, **options):
+    """As ``subprocess.run`` of ``python -m quadjax ARGUMENTS``."""
+    assert command[1:3] == ["-m", "quadjax"]
+    return SimpleNamespace(returncode=run(*command[3:]))
+
+
+def train_nothing(monkeypatch):
+    """Trainings from here on leave the policy as it begins."""
+    monkeypatch.setattr(training_run, "check_functions", traced_race)
+    monkeypatch.setattr(training_run, "start_state", first_state)
+    monkeypatch.setattr(parallel, "compile_chunk", unchanged)
+    monkeypatch.setattr(Checkpoints, "save", lambda *_: None)
+    monkeypatch.setattr(training_run, "make_flights", lambda *_: lambda networks: NO_LAPS)
+    monkeypatch.setattr(training, "write_evaluation", lambda run: "")
+    monkeypatch.setattr(training, "subprocess", SimpleNamespace(run=in_this_process))
 
 
 @pytest.mark.slow
@@ -97,9 +148,7 @@ def test_blocks_run(page, folder, monkeypatch):
     search.return_value.bounded.return_value.plot.return_value = Figure()
     monkeypatch.setattr(limit, "best_known", search)
     if name_of(page) not in TRAINED:
-        monkeypatch.setattr(parallel, "compile_chunk", traced_chunk)
-        monkeypatch.setattr(training_run, "make_flights", lambda *_: lambda networks: NO_LAPS)
-        monkeypatch.setattr(training, "write_evaluation", lambda run: "")
+        train_nothing(monkeypatch)
     namespace: dict[str, object] = {"__name__": "block", "_load": load_short}
     for block in blocks_of(page):
         if block.setup:
