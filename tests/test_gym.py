@@ -23,6 +23,7 @@ N = 6
 REST = ["start.position=0", "start.velocity=0", "start.roll_pitch_deg=0"]
 
 
+@functools.cache
 def short():
     """A race of episodes of five steps."""
     environment, params = make_race(load_config(BLANK, REST))

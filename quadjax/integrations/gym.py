@@ -4,6 +4,7 @@ All environments of a vector are one compiled program.
 """
 
 import functools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +83,14 @@ def step_all(
     }
 
 
+@functools.lru_cache(maxsize=4)
+def _programs(environment: Environment) -> tuple[Callable, Callable, Callable]:
+    """Reset, observe and step of a vector; vectors of the same environment compile them once."""
+    environments = vectorize(environment)
+    step = jax.jit(functools.partial(step_all, environments), static_argnums=0)
+    return jax.jit(environments.reset), jax.jit(environments.observe), step
+
+
 class RaceVectorEnv(VectorEnv):
     """A race as a vector environment of ``num_envs`` drones.
 
@@ -110,10 +119,7 @@ class RaceVectorEnv(VectorEnv):
         self.num_envs, self._mode = num_envs, AutoresetMode(autoreset_mode)
         self._params = params
         self.metadata = {"autoreset_mode": self._mode, "render_modes": []}
-        environments = vectorize(environment)
-        self._reset = jax.jit(environments.reset)
-        self._observe = jax.jit(environments.observe)
-        self._step = jax.jit(functools.partial(step_all, environments, self._mode))
+        self._reset, self._observe, self._step = _programs(environment)
         size = environment.observation_size
         self.single_observation_space = _box(np.inf, (size,))
         self.single_action_space = _box(1.0, (environment.action_size,))
@@ -154,7 +160,7 @@ class RaceVectorEnv(VectorEnv):
         if self._mode == AutoresetMode.DISABLED and bool(self._batch.over.any()):
             raise RuntimeError("an episode is over: call reset (a vector: options reset_mask)")
         shaped = jnp.asarray(actions, jnp.float32).reshape(self.action_space.shape)
-        self._batch, outcome = self._step(self._params, self._batch, shaped)
+        self._batch, outcome = self._step(self._mode, self._params, self._batch, shaped)
         result = {name: np.array(values) for name, values in jax.device_get(outcome).items()}
         terminated, truncated, passed = (
             result[name] for name in ("terminated", "truncated", "gates_passed")
