@@ -71,8 +71,8 @@ def euler_rates(euler: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Solve Omega = roll' e1 + Rx^T (pitch' e2 + Ry^T yaw' e3) for the angles' derivatives."""
     roll_t = np.swapaxes(elementary(0, euler[..., 0]), -1, -2)
     pitch_t = np.swapaxes(elementary(1, euler[..., 1]), -1, -2)
-    one = np.broadcast_to(np.eye(3), (*euler.shape[:-1], 3, 3))
-    columns = [one[..., 0], (roll_t @ one)[..., 1], (roll_t @ pitch_t @ one)[..., 2]]
+    first = np.broadcast_to(np.eye(3)[0], rates.shape)
+    columns = [first, roll_t[..., 1], (roll_t @ pitch_t)[..., 2]]
     return np.linalg.solve(np.stack(columns, axis=-1), rates[..., None])[..., 0]
 
 
@@ -124,13 +124,13 @@ def motor_derivative(
         extra_z, extra_moment = residual_terms(residual, w, v_body, omega)
         force = force + np.stack([0 * extra_z, 0 * extra_z, extra_z], -1)
         moment = moment + extra_moment
-    inertia = np.diag([c["i_xx"], c["i_yy"], c["i_zz"]])
-    torque = moment + state[:, MOMENT] - np.cross(omega, omega @ inertia)
+    inertia = np.array([c["i_xx"], c["i_yy"], c["i_zz"]])
+    torque = moment + state[:, MOMENT] - np.cross(omega, inertia * omega)
     derivative = np.zeros_like(state)
     derivative[:, P] = v
     derivative[:, V] = rotate(matrix, force + state[:, FORCE]) + [0.0, 0.0, c["g"]]
     derivative[:, EULER] = euler_rates(euler, omega)
-    derivative[:, RATES] = torque @ np.linalg.inv(inertia)
+    derivative[:, RATES] = torque / inertia
     derivative[:, RPM] = w_dot
     return derivative
 

@@ -49,9 +49,8 @@ def as_reference(residual: Residual) -> dict:
     return {key: jax.tree.map(np.float64, value) for key, value in vars(residual).items()}
 
 
-def runge_kutta(slope, x: np.ndarray, dt: float) -> np.ndarray:
-    """States (k, 22) one step later."""
-    k1 = slope(x)
+def runge_kutta(slope, x: np.ndarray, dt: float, k1: np.ndarray) -> np.ndarray:
+    """States (k, 22) one step later; ``k1`` is the slope at ``x``."""
     k2 = slope(x + 0.5 * dt * k1)
     k3 = slope(x + 0.5 * dt * k2)
     k4 = slope(x + dt * k3)
@@ -104,9 +103,9 @@ def _flown(first, residual, factors):
         def slope(x, u=u):
             return ref.motor_derivative(c, x, u, own)
 
-        to_body = np.swapaxes(ref.rotation(x[:, ref.EULER]), 1, 2)
-        record.append((x, u, ref.rotate(to_body, slope(x)[:, ref.V] - [0.0, 0.0, c["g"]])))
-        x = runge_kutta(slope, x, dt)
+        k1, to_body = slope(x), np.swapaxes(ref.rotation(x[:, ref.EULER]), 1, 2)
+        record.append((x, u, ref.rotate(to_body, k1[:, ref.V] - [0.0, 0.0, c["g"]])))
+        x = runge_kutta(slope, x, dt, k1)
     return [np.stack(values) for values in zip(*record, strict=True)]
 
 

@@ -16,6 +16,7 @@ from quadjax.race.types import Step
 from tests import reference as ref
 from tests.promotion import QUICK
 from tests.race.support import (
+    ROWS,
     compiled_observe,
     compiled_reset,
     compiled_transition,
@@ -156,9 +157,9 @@ def test_penalties_of_the_cameras_view_and_of_changes_of_the_action():
     sight = ("reward.perception=0.5", "reward.camera_deg=40", "reward.perception_deg=30")
     more = ("reward.action_change=0.25", "observation.last_action=true")
     (choices, params), plain = make_race(*sight, *more), make_race()
-    state = race_state("motor", ref.random_states("motor", 200), np.arange(200) % 4)
-    action = np.random.default_rng(0).uniform(-1.5, 1.5, (200, 4)).astype(np.float32)
-    begun = state.replace(action=(np.full(200, 0.5, np.float32),) * 4)
+    state = race_state("motor", ref.random_states("motor", ROWS), np.arange(ROWS) % 4)
+    action = np.random.default_rng(0).uniform(-1.5, 1.5, (ROWS, 4)).astype(np.float32)
+    begun = state.replace(action=(np.full(ROWS, 0.5, np.float32),) * 4)
     following, value, outcome = compiled_transition(choices)(params, begun, action)
     _, without, _ = compiled_transition(plain[0])(plain[1], state, action)
     tilt, drone = np.radians(40), following.drone
