@@ -166,8 +166,12 @@ def load_groups(
         if equals and not label:
             raise InputError(f"{word}: expected LABEL=FILE")
         paths = sorted(glob.glob(str(Path(pattern).expanduser()))) if pattern else []
-        if not paths or len(paths) > MAX_FILES:
-            raise InputError(f"{pattern or word}: {len(paths)} files, expected 1 to {MAX_FILES}")
+        if not pattern:
+            raise InputError(f"{word or repr(word)}: expected LABEL=FILE")
+        if not paths:
+            raise InputError(f"{pattern}: no such file (--flights)")
+        if len(paths) > MAX_FILES:
+            raise InputError(f"{pattern}: {len(paths)} files, expected 1 to {MAX_FILES}")
         for path in map(Path, paths):
             groups.setdefault(label or path.stem, []).extend(_recorded(path, track, logs))
     return groups

@@ -75,18 +75,22 @@ def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
     try:
         value = value_at(config, key)
         if not isinstance(value, float):
-            refuse(name, value, "the key of a number")
-        where = name
-        for number in schedule.linear:
+            raise BadValue(
+                name,
+                f"{name}: {key} may not change during training, allowed: the key of a number that "
+                "the config sets and that may have decimals, such as reward.gate",
+            )
+        for index, number in enumerate(schedule.linear):
+            where = f"{name}.linear[{index}]"
             if number != "value":
                 config.at(key, number)
     except BadValue:
         raise
     except InputError as error:
         raise BadValue(name, f"{where}: {error}") from None
-    if schedule.by == "pass_rate" and max(schedule.start, schedule.until) > 1:
-        refuse(name, short(schedule.model_dump(by_alias=True)), "levels up to 1")
     for end, time in (("from", schedule.start), ("until", schedule.until)):
+        if time > 1 and schedule.by == "pass_rate":
+            refuse(f"{name}.{end}", time, "a level up to 1 with by: pass_rate")
         if time > 1 and time > steps:
             allowed = f"at most run.steps {steps}, or a fraction of the run up to 1"
             refuse(f"{name}.{end}", f"{time:g} steps", allowed)

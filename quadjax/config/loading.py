@@ -201,7 +201,7 @@ def _with_constants(vehicle: Vehicle) -> Vehicle:
         raise BadValue(key, f"unknown key {key}{hint}; {allowed}")
     for key in (key for key in names if key not in constants):
         others = f"{vehicle.name} has constants of: {', '.join(models) or 'no model'}"
-        raise BadValue("vehicle.file", f"vehicle.constants.{key} is missing; {others}")
+        raise BadValue("vehicle.name", f"vehicle.constants.{key} is missing; {others}")
     return vehicle.replace(
         constants={key: constants[key] for key in names},
         models={key: x for key, x in models.items() if key not in (name, model.name)},

@@ -70,7 +70,11 @@ def reading(path: Path | str) -> Iterator[None]:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     except InputError:
         raise
-    except ValueError as error:  # not UTF-8, or a path with a null byte
+    except UnicodeDecodeError as error:
+        lines = enumerate(Path(path).read_bytes().split(b"\n"), start=1)
+        row = next((n for n, line in lines if line.decode(errors="ignore").encode() != line), 1)
+        raise InputError(f"{path}: line {row} is not UTF-8 text") from error
+    except ValueError as error:  # a path with a null byte
         raise InputError(f"{path}: cannot be read ({error})") from error
 
 

@@ -14,6 +14,12 @@ _BUNDLED = _PACKAGE / "configs"
 CONFIGS = _BUNDLED if _BUNDLED.is_dir() else _PACKAGE.parent / "configs"
 PRETRAINED = _PACKAGE / "pretrained"
 POLICY_FILE = "policy.npz"  # in the folder of a training run
+KINDS = {  # what the folders of configs/ hold
+    "": "presets",
+    "conditions": "lists of conditions",
+    "fit": "fit configs",
+    "plant": "plants",
+}
 
 
 def preset_names(folder: str = "") -> list[str]:
@@ -46,9 +52,10 @@ def find_config(name: Path | str, folder: str = "") -> Path:
             return preset
         if str(name) and (path.exists() or path.is_symlink()):
             return path
-    names, kind = preset_names(folder), "file" if path.suffix else "preset or file"
-    hint = close_match(path.stem, names)
-    raise InputError(f"{name or repr(name)}: no such {kind}{hint}; presets: {', '.join(names)}")
+    names, kind = preset_names(folder), KINDS.get(folder, folder)
+    place, hint = _listed([path.parent]), close_match(path.stem, names)
+    listed = f"{kind} of quadjax: {', '.join(names)}"
+    raise InputError(f"{name or repr(name)}: no such file in {place}{hint}; {listed}")
 
 
 def find_file(name: str, folders: Sequence[Path], kind: str = "") -> Path:
@@ -73,7 +80,14 @@ def find_file(name: str, folders: Sequence[Path], kind: str = "") -> Path:
     stems = [path.stem for place in places for path in sorted(place.glob("*.yaml"))]
     hint = close_match(Path(name).stem, stems)
     shipped = f"; {kind} of quadjax: {', '.join(preset_names(kind))}" if kind else ""
-    raise InputError(f"{short(name)}: no such file in {folders[0]} or {places[-1]}{hint}{shipped}")
+    place = _listed([*folders, places[-1]])
+    raise InputError(f"{short(name)}: no such file in {place}{hint}{shipped}")
+
+
+def _listed(folders: Sequence[Path]) -> str:
+    """Folders as text, each once."""
+    names = ("the current folder" if folder == Path() else str(folder) for folder in folders)
+    return " or ".join(dict.fromkeys(names))
 
 
 def find_policy(name: Path | str) -> Path:

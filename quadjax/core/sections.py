@@ -247,7 +247,9 @@ def _bad_value(
         return BadValue(key, f"unknown key {key}{hint}; allowed there: {there}")
     if error["type"] in ("value_error", "assertion_error"):
         reason = str(error["ctx"]["error"])
-        return BadValue(key, reason if not key or key in reason else f"{key}: {reason}")
+        first = re.split(r"[^\w.]", reason)[0]  # of a check of several keys: the one that it names
+        message = reason if not key or key in reason else f"{key}: {reason}"
+        return BadValue(first if first.startswith(key) else key, message)
     if error["type"] == "missing":
         return BadValue(key, f"{key} is missing")
     texts = [_allowed(e) for e in errors if _location(e, tree) == location]

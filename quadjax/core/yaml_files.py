@@ -58,7 +58,7 @@ def parse_yaml(text: str, source: str) -> object:
         pass
     except MarkedYAMLError as error:
         where = f" line {error.problem_mark.line + 1}:" if error.problem_mark else ""
-        reason = str(error.problem)
+        reason = str(error.problem).partition(" with value")[0]  # of a key that is there twice
     except (YAMLError, ValueError, TypeError) as error:
         reason = f"not YAML of plain values ({error})"
     raise InputError(f"{source}:{where} {short(' '.join(reason.split()), 160, str)}")

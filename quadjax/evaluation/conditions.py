@@ -110,7 +110,7 @@ class Conditions(Section):
     """A list of conditions, and how each of them is flown and tabulated."""
 
     title: str = Field("condition", description="of the column of labels")
-    columns: Words = Field(("finished", "total"), description="of the table, by name")
+    columns: Words = Field(("finished", "total"), min_length=1, description="of the table, by name")
     across: bool = Field(
         False, description="a column for each condition, of the first of columns, a line per policy"
     )
@@ -227,7 +227,8 @@ def changed(config: Config, words: Sequence[str]) -> Config:
         value = parse_yaml(text, key)
         if key in WHOLE and isinstance(value, str):
             value = getattr(load_config("e2e", [word, "rules.position_limit=null"]), key)
-        config = config.at(key, value)
+        with prefixed(key):
+            config = config.at(key, value)
     return config
 
 

@@ -1,5 +1,6 @@
 """Timed flights of a policy by the rules of a race, under one or several conditions."""
 
+import contextlib
 import dataclasses
 import functools
 from collections import Counter
@@ -14,7 +15,7 @@ from quadjax.config.checks import with_body
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, prefixed
 from quadjax.core.provenance import provenance
 from quadjax.evaluation import figures
 from quadjax.evaluation.conditions import Condition, Conditions, Start, read_conditions
@@ -98,7 +99,10 @@ def evaluate(
         plant = load_plant_config(plant)
     if plant is not None and actor is not pilot.fly:
         raise InputError("actor is not None, allowed: without a plant")
-    flying, left_out = list(protocol.of(config)), []
+    file = isinstance(conditions, Path | str)
+    with prefixed(str(conditions)) if file else contextlib.nullcontext():
+        flying = list(protocol.of(config))
+    left_out = []
     if plant is not None and len(flying) > 1:
         left_out = [c.label for c, _ in flying if protocol.under(c).start != "hover"]
     rows = []

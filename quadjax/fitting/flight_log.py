@@ -89,6 +89,9 @@ def find_logs(config: LogsConfig, folder: Path) -> list[Path]:
     for pattern in config.files:
         files = _expand(Path(), pattern) or _expand(folder, pattern)
         if not files:
+            if Path(pattern).is_dir() and pattern:
+                example = Path(pattern) / "*.csv"
+                raise InputError(f"logs.files: {pattern} is a folder, allowed: {example}, files")
             hint = STANDIN_HINT if STANDIN_LOGS in Path(pattern).parts else ""
             raise InputError(f"{pattern or repr(pattern)}: no such file (logs.files){hint}")
         paths += [path for path in files if path not in paths]

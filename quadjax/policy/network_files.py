@@ -185,6 +185,8 @@ def read_state_dict(path: Path | str, member: str | None = None) -> dict[str, np
 
 def _member(archive: zipfile.ZipFile, name: str) -> bytes:
     """A file of an archive; its size is checked before it is unpacked."""
+    if name not in archive.namelist():
+        raise ValueError(f"the archive holds no file {name}")
     if archive.getinfo(name).file_size > MAX_BYTES:
         raise ValueError(f"{name} has more than {MAX_BYTES} bytes")
     return archive.read(name)

@@ -82,12 +82,12 @@ class VehicleFile:
 
 
 def read_vehicle(name: str, folder: Path = Path()) -> VehicleFile:
-    """Read a vehicle file, found relative to ``folder`` or in ``configs/vehicles``.
+    """Read a vehicle file, found in the current folder, in ``folder`` or in ``configs/vehicles``.
 
     Raises:
         InputError: a missing file, or a value that is not a finite number.
     """
-    path = find_file(name, [folder], "vehicles")
+    path = find_file(name, [Path(), folder], "vehicles")
     tree = read_tree_with_bases(path)
     values = vehicle_values(path, tree) | {"mass": tree.get("mass")}
     models = {

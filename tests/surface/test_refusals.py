@@ -22,6 +22,12 @@ FILES = {
     "empty.csv": "",
     "short.csv": "time,rate_p\n0.0,0.1\n",
     "words.qjp": "",
+    "latin.yaml": b"seed: 1\nname: caf\xe9\n",
+    "latin.csv": b"time,rate_p\n0.0,0.1\n0.1,\xff\n",
+    "twice.yaml": "logs: {format: plain}\nlogs: {format: paparazzi}\n",
+    "nothing.yaml": "name: nothing\n",
+    "nocolumns.yaml": "columns: []\nconditions: [{label: a}]\n",
+    "condition.yaml": "conditions: [{label: a, overrides: ['vehicle.mismach={k_w: 0.96}']}]\n",
     "code.py": "def term(step):\n    return 0.0\n",
 }
 ROWS = """
@@ -77,6 +83,10 @@ train 'e2e +fastest' 'reward.gate_edge=3 legs' | gate_edge per half gate
 train 'e2e +fastest' 'reward.gate=2 feet' | reward.gate feet number
 train 'e2e +fastest' 'run.steps=1 leg times' | run.steps whole number
 train 'e2e +fastest' 'schedules.learner.std.linear=[1 legs, 2]' | learner.std.linear[0] legs
+train e2e 'schedules.learner.std={linear: [0.3, -0.1]}' | schedules.learner.std.linear[1] -0.1
+train e2e 'schedules.run.steps={linear: [1, 2]}' | schedules.run.steps may not change key number
+train latin.yaml | latin.yaml line 2 not UTF-8 text
+train twice.yaml | twice.yaml line 2: found duplicate key "logs"
 train e2e_ppo learner.num_envs=10 learner.num_minibatches=7 | num_minibatches
 train e2e --fine-tune bytes.npz | bytes.npz
 train e2e --fine-tune nosuch.npz | nosuch.npz
@@ -99,12 +109,16 @@ evaluate e2e --policy e2e --states a.xyz | a.xyz
 evaluate e2e --policy e2e --animation a.mp4 | a.mp4
 evaluate e2e --policy e2e --study spread --figures x | --figures effect --conditions
 evaluate e2e --policy e2e --study protocols --deterministic | --deterministic effect
+evaluate e2e --policy e2e --conditions nosuch | current folder lists of conditions quadjax: damage
+evaluate e2e --policy e2e --conditions nocolumns.yaml | nocolumns.yaml: columns [] least 1 item
+evaluate e2e --policy e2e --conditions condition.yaml | condition.yaml: a: vehicle.mismach mismatch
 evaluate e2e --policy e2e --conditions damage --only fog | --only 'fog' modeled
 evaluate e2e --policy e2e --only fog | --only --conditions
 evaluate e2e --policy e2e --plant standin --gates 5 | plant laps hover
 evaluate e2e --policy e2e --plants 3 --runs 4 | runs multiples (3)
 evaluate track=figure8 --policy e2e | track=figure8 preset
-evaluate --flights nosuch.npz | nosuch.npz files
+evaluate --flights nosuch.npz | nosuch.npz no such file --flights
+evaluate --flights A= | A=: expected LABEL=FILE
 evaluate --flights =a.npz | LABEL=FILE
 evaluate --flights notes.txt | .npz .csv
 evaluate --flights short.csv | short.csv format
@@ -151,7 +165,10 @@ limit 'indi +fastest' rules.gate_test=world_box | world_box
 sweep nosuch | nosuch
 sweep key.yaml | key.yaml
 sweep learning_rate budget.trials=0 | overrides: budget.trials 0
-fit nosuch | nosuch
+fit nosuch | nosuch current folder fit configs paparazzi
+fit latin.yaml | latin.yaml
+fit paparazzi logs.files=tracks | logs.files tracks folder tracks/*.csv
+fit paparazzi logs.files=[latin.csv] | latin.csv line 3 not UTF-8 text
 fit standin logs.files=[empty.csv] | empty.csv
 fit standin logs.files=[short.csv] | short.csv
 fit standin logs.files=[nosuch.csv] | nosuch.csv
@@ -164,18 +181,20 @@ fit paparazzi logs.files=[short.csv] logs.columns.rpms=[a] | rpms
 fit paparazzi logs.files=[short.csv] logs.columns.rpm=[a] | rpm
 fit paparazzi logs.files=[short.csv] residual.hiden=3 | residual.hiden epochs
 fit paparazzi logs.files=[short.csv] residual.seeds=many | residual.seeds many
-fit paparazzi logs.files=[short.csv] vehicle=nowhere.yaml | nowhere.yaml
+fit paparazzi logs.files=[short.csv] vehicle=nowhere.yaml | nowhere.yaml current folder
 fit paparazzi logs.files=[short.csv] body.inertia=null | body.inertia
 fit paparazzi logs.files=[short.csv] 'body.rpm_range=[5000, 3000]' | body.rpm_range
 fit paparazzi logs.files=[short.csv] 'body.rpm_range=[5000, 5000]' | body.rpm_range
 replay empty.csv --policy e2e | empty.csv
 replay short.csv --policy e2e --logs paparazzi | short.csv
 replay short.csv | --policy --vehicle
+replay short.csv --vehicle nothing.yaml | nothing.yaml: vehicle.constants.g missing
 replay short.csv --policy e2e --residual x.npz | --residual --vehicle
 replay short.csv --policy e2e --drive wind | --drive
 replay short.csv --policy e2e --json x.txt | .txt
 replay short.csv --policy e2e --logs nosuch | nosuch
-logs nosuch --policy e2e --output out | nosuch
+logs nosuch --policy e2e --output out | nosuch current folder plants exact
+logs exact control_rate=333 --policy e2e --output out | overrides: control_rate 333
 logs standin --flights 0 | --output missing
 logs standin --policy e2e --output | --output argument
 export nosuch --output out | nosuch
@@ -229,7 +248,7 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("refusals")
     (path / "tracks").mkdir()
     for name, text in FILES.items():
-        (path / name).write_text(text)
+        (path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
 
 
