@@ -25,7 +25,7 @@ from quadjax.vehicle.constants import replaced
 from quadjax.vehicle.estimator import EstimatorParams, estimator_params
 from quadjax.vehicle.protocol import Constants, VehicleModel, VehicleParams
 from quadjax.vehicle.registry import base_model
-from quadjax.vehicle.residual import adds_nothing, read_residual, scale_residual
+from quadjax.vehicle.residual import read_residual, scale_residual
 
 
 def vehicle_model(config: Config) -> VehicleModel:
@@ -86,15 +86,12 @@ def make_vehicle(config: Config) -> VehicleParams:
     """The vehicle's constants and its residual, if it has one, scaled by ``residual_gain``.
 
     Raises:
-        InputError: a residual file that cannot be read, or one of zeros whose gain is scheduled.
+        InputError: a residual file that cannot be read.
     """
     vehicle, constants = config.vehicle, _constants(config, config.vehicle.constants)
     if vehicle.residual is None:
         return VehicleParams(constants)
     residual = read_residual(Path(vehicle.residual))
-    if "vehicle.residual_gain" in config.schedules and adds_nothing(residual):
-        problem = f"{vehicle.residual} adds nothing: every output is zero"
-        raise InputError(f"vehicle.residual: {problem}; leave out +residual and vehicle.residual")
     if vehicle.residual_gain != 1.0:
         residual = scale_residual(residual, jnp.float32(vehicle.residual_gain))
     return VehicleParams(constants, residual)

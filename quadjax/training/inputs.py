@@ -18,6 +18,7 @@ from quadjax.race.environment import make_environment
 from quadjax.race.types import RaceParams
 from quadjax.vehicle.protocol import Motion
 from quadjax.vehicle.registry import base_model
+from quadjax.vehicle.residual import adds_nothing
 
 NAMES = (*MOTION, "actuators")  # of the signals of a recorded state
 
@@ -90,12 +91,16 @@ def states_of(name: str, flights: list[Flight]) -> dict[str, np.ndarray]:
 
 
 def check_functions(config: Config, params: RaceParams) -> None:
-    """Trace a reset, an observation and a step, where a config names functions of the user's.
+    """Check the residual, and trace the race where a config names functions of the user's.
 
     Raises:
-        InputError: a reward term, a rule or an observation field that raises an error, or returns
-            no scalar.
+        InputError: a residual of zeros whose gain is scheduled; a reward term, a rule or an
+            observation field that raises an error, or returns no scalar.
     """
+    residual = params.vehicle.residual
+    if "vehicle.residual_gain" in config.schedules and residual and adds_nothing(residual):
+        problem = f"{config.vehicle.residual} adds nothing: every output is zero"
+        raise InputError(f"vehicle.residual: {problem}; leave out +residual and vehicle.residual")
     if config.reward.terms or config.rules.extra or config.observation.extra:
         environment = make_environment(make_choices(config))
         state = jax.eval_shape(environment.reset, params, jax.random.key(0))

@@ -111,7 +111,7 @@ evaluate e2e --policy e2e --study spread --figures x | --figures effect --condit
 evaluate e2e --policy e2e --study protocols --deterministic | --deterministic effect
 evaluate e2e --policy e2e --conditions nosuch | current folder lists of conditions quadjax: damage
 evaluate e2e --policy e2e --conditions nocolumns.yaml | nocolumns.yaml: columns [] least 1 item
-evaluate e2e --policy e2e --conditions condition.yaml | condition.yaml: a: vehicle.mismach mismatch
+evaluate e2e --policy e2e --conditions condition.yaml | condition a: vehicle.mismach mismatch
 evaluate e2e --policy e2e --conditions damage --only fog | --only 'fog' modeled
 evaluate e2e --policy e2e --only fog | --only --conditions
 evaluate e2e --policy e2e --plant standin --gates 5 | plant laps hover
