@@ -1,27 +1,24 @@
 """Race without training: model predictive path integral control (MPPI) on the simulator.
 
 At every step a number of action sequences is drawn around the last plan and simulated; the plan
-becomes their mean with the weights exp(return / temperature) (Williams et al., ICRA 2017). Returns
-are sums of the preset's reward. The planner knows the race exactly and planning takes no time, so
-this is an upper bound of what the method does. With ``--train`` a policy of the preset is trained
-with each seed, and the table has its mean action from the same hover.
+becomes their mean with the weights exp(return / temperature) (Williams et al., ICRA 2017). The
+planner has the reward of ``e2e_race``, knows the race exactly, and planning takes no time.
 
-    python -m benchmarks.mppi --seeds 0 1 2 3 4
+    python -m benchmarks.mppi --seeds 0 1 2 3 4 [--train]
 
-Five seeds, 1,024 sequences of 50 steps, two shared AMD EPYC cores, of which it uses one; the lap is
-the median of laps 2 and 3 of all seeds; best known laps are those of tracks.md and gallery.md:
+Totals of three laps from hover, s, of five seeds, and of the mean action of policies of seed 0 (24
+million steps). A simulated second takes 0.8 to 1.8 s of one AMD EPYC core:
 
-| track | totals of three laps from hover, s | lap, s | best known, s | s a simulated s |
-|---|---|---|---|---|
-| square4 | 7.22, 7.26, 7.34, 7.15, 7.25 | 2.28 | 2.039 | 0.8 to 1.8 |
-| figure8 | 11.48, 11.64, 11.54, 11.45, 11.56 | 3.85 | 3.239 | 0.8 to 0.9 |
-| ring8 | 13.77, 15.78, 15.63, 15.36, 15.35 | 5.11 | 3.31 | 0.9 |
+| track | MPPI | policy |
+|---|---|---|
+| square4 | 7.22, 7.26, 7.34, 7.15, 7.25 | 6.89 |
+| figure8 | 11.48, 11.64, 11.54, 11.45, 11.56 | 10.45 |
+| ring8 | 13.77, 15.78, 15.63, 15.36, 15.35 | 10.55 |
 """
 
 import functools
 import itertools
 import time
-from pathlib import Path
 from typing import Annotated
 
 import jax
@@ -30,29 +27,25 @@ import numpy as np
 from cyclopts import Parameter
 
 import quadjax
-from quadjax.cli import options as opt
-from quadjax.cli import script
+from quadjax.cli import options, script
 from quadjax.config.assembly import race_of
 from quadjax.core.markdown import table
 from quadjax.race import environment, laps
 from quadjax.race.types import Choices, RaceParams, RaceState
 
+TRACKS = ("square4", "figure8", "ring8")
+LAPS, HORIZON = 3, 50  # of a flight; steps
 STD, SMOOTH = 0.3, 0.8  # of the noise, and its correlation from step to step
 TEMPERATURE = 0.05  # of the weights, in units of the reward
-TITLES = ("track", "seed", "MPPI, s", "s a simulated s", "policy, s")
-Names = Annotated[tuple[str, ...], Parameter(consume_multiple=True)]
-Seeds = Annotated[tuple[int, ...], Parameter(consume_multiple=True)]
 
 
 def noise(key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
     """Standard normal noise (horizon, samples, actions), correlated from step to step."""
 
     def blend(last: jax.Array, now: jax.Array) -> tuple[jax.Array, jax.Array]:
-        mixed = SMOOTH * last + (1.0 - SMOOTH**2) ** 0.5 * now
-        return mixed, mixed
+        return (mixed := SMOOTH * last + (1.0 - SMOOTH**2) ** 0.5 * now), mixed
 
-    white = jax.random.normal(key, shape)
-    return jax.lax.scan(blend, white[0], white)[1]
+    return jax.lax.scan(blend, (white := jax.random.normal(key, shape))[0], white)[1]
 
 
 def returns(choices: Choices, params: RaceParams, start: RaceState, plan: jax.Array) -> jax.Array:
@@ -66,67 +59,51 @@ def returns(choices: Choices, params: RaceParams, start: RaceState, plan: jax.Ar
     return jax.lax.scan(step, (start, jnp.array(True)), plan)[1].sum()
 
 
-@functools.partial(jax.jit, static_argnames=("choices", "count", "samples", "horizon"))
-def fly(
-    choices: Choices,
-    count: int,
-    samples: int,
-    horizon: int,
-    params: RaceParams,
-    seed: int,
-    end: int,
-) -> laps.LapState:
-    """Fly ``count`` laps from hover, for at most ``end`` () steps."""
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def fly(choices: Choices, n: int, params: RaceParams, seed: int, end: int) -> laps.LapState:
+    """Fly from hover for at most ``end`` () steps, with ``n`` sequences of actions."""
     exact, key = environment.exact_rules(choices.model, params), jax.random.key(seed)
     hover = laps.starting_states(choices, exact, key, 1, True)
-    first = jax.tree.map(lambda x: x[..., 0], laps.begin(hover, count))
+    first = jax.tree.map(lambda x: x[..., 0], laps.begin(hover, LAPS))
 
     def step(loop: tuple) -> tuple:
-        number, race, plan, key = loop
+        race, plan, key = loop
         key, use = jax.random.split(key)
-        shape = horizon, samples, choices.model.action_size
-        drawn = jnp.clip(plan[:, None] + STD * noise(use, shape), -1.0, 1.0)
+        drawn = jnp.clip(plan[:, None] + STD * noise(use, (HORIZON, n, plan.shape[1])), -1.0, 1.0)
         evaluate = functools.partial(returns, choices, params, race.state)
         weights = jax.nn.softmax(jax.vmap(evaluate, in_axes=1)(drawn) / TEMPERATURE)
         plan = jnp.einsum("s,hsa->ha", weights, drawn)
         race = laps.advance(choices, exact, race, plan[0])
-        return number + 1, race, jnp.concatenate([plan[1:], plan[-1:]]), key
+        return race, jnp.concatenate([plan[1:], plan[-1:]]), key
 
-    begin = (0, first, jnp.zeros((horizon, choices.model.action_size)), key)
-    return jax.lax.while_loop(lambda x: (x[0] < end) & ~x[1].over, step, begin)[1]
+    begin = (first, jnp.zeros((HORIZON, choices.model.action_size)), key)
+    return jax.lax.while_loop(lambda x: (x[0].state.step < end) & ~x[0].over, step, begin)[0]
 
 
 def mppi(
     *,
-    preset: str = "e2e_race",
-    tracks: Names = ("square4", "figure8", "ring8"),
-    seeds: Seeds = (0,),
-    count: opt.Laps = 3,
-    samples: opt.Count = 1024,
-    horizon: opt.Count = 50,
+    tracks: Annotated[tuple[str, ...], Parameter(consume_multiple=True)] = TRACKS,
+    seeds: Annotated[tuple[int, ...], Parameter(consume_multiple=True)] = (0,),
+    samples: options.Count = 1024,
     train: bool = False,
-    output: Path = Path("runs/mppi"),
 ) -> None:
-    """Print the laps of MPPI on each track, and those of trained policies."""
-    rows: list[tuple[str, ...]] = [TITLES]
+    """Print laps and total of MPPI on each track, and those of trained policies."""
+    rows: list[tuple[str, ...]] = [("track", "seed", "s a simulated s", "MPPI, s", "policy, s")]
     for track, seed in itertools.product(tracks, seeds):
-        config = quadjax.load(preset, [f"track={track}", f"seed={seed}"])
+        config = quadjax.load("e2e_race", [f"track={track}", f"seed={seed}"])
         choices, params = race_of(config)
-        solve = functools.partial(fly, choices, count, samples, horizon, params, seed)
-        jax.block_until_ready(solve(1))  # compile
-        began = time.monotonic()
-        race = jax.block_until_ready(solve(laps.step_limit(params, count)))
+        jax.block_until_ready(fly(choices, samples, params, seed, 1))  # compile
+        began, end = time.monotonic(), laps.step_limit(params, LAPS)
+        race = jax.block_until_ready(fly(choices, samples, params, seed, end))
         cost = (time.monotonic() - began) / (int(race.state.step) * config.rules.time_step)
-        ends = np.asarray(race.lap_end, float)
-        flown = [np.diff(np.where(ends > 0.0, ends, np.nan), prepend=0.0)]
+        flown = [np.diff(np.where(race.lap_end > 0.0, race.lap_end, np.nan), prepend=0.0)]
         if train:
-            policy = quadjax.train(config, output / f"{track}_{seed}", resume=True).policy
-            how = {"laps": count, "runs": 1, "deterministic": True}
-            flown.append(quadjax.evaluate(policy, config, **how).lap_times[0])
+            policy = quadjax.train(config, f"runs/mppi/{track}_{seed}", resume=True).policy
+            lap = quadjax.evaluate(policy, config, laps=LAPS, runs=1, deterministic=True)
+            flown.append(lap.lap_times[0])
         cells = [", ".join(f"{x:.2f}" for x in (*times, times.sum())) for times in flown]
-        rows.append((track, f"{seed}", cells[0], f"{cost:.1f}", *(cells[1:] or ["-"])))
+        rows.append((track, f"{seed}", f"{cost:.1f}", *cells, *["-"] * (not train)))
     print(table(rows))
-    print("laps from hover, and their total")
 
 
 if __name__ == "__main__":

@@ -157,6 +157,6 @@ def test_gates_at_one_place_have_one_label():
     path, *others = flights_figure(problem, config.track.gates, flights).axes
     texts = [text.get_text() for text in path.texts]
     assert [text for text in texts if text and "m" not in text] == ["1", "2", "3", "4, 5", "6", "7"]
-    assert [axes for axes in others if axes.get_ylabel() == "time lost [ms]"]
+    assert [axes for axes in others if axes.get_ylabel() == "time lost (ms)"]
     (commands,) = [axes for axes in others if axes.get_ylabel() == "commands"]
     assert len(commands.get_yticklabels()) == 4
