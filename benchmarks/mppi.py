@@ -4,7 +4,7 @@ At every step a number of action sequences is drawn around the last plan and sim
 becomes their mean with the weights exp(return / temperature) (Williams et al., ICRA 2017). The
 planner has the reward of ``e2e_race``, knows the race exactly, and planning takes no time.
 
-    python -m benchmarks.mppi --seeds 0 1 2 3 4 [--train]
+    taskset -c 0 python -m benchmarks.mppi --seeds 0 1 2 3 4 [--train]
 
 Totals of three laps from hover, s, of five seeds, and of the mean action of policies of seed 0 (24
 million steps). A simulated second takes 0.8 to 1.8 s of one AMD EPYC core:
