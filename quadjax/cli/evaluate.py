@@ -148,9 +148,10 @@ def evaluate(
             flown = _modes(*entries[0], deterministic, how)
         else:
             how |= {"conditions": listed, "progress": show, "deterministic": deterministic or None}
-            flown = [joined([fly(*entry, name=file, **how) for file, entry in entries])]
-        text = joined(flown).table(format) + (_offsets(flown[0]) if offsets else "")
-        _write(flown[0], json, states, figures, animation, show)
+            flown = [fly(*entry, name=file, **how) for file, entry in entries]
+        result = joined(flown)
+        text = result.table(format) + (_offsets(flown[0]) if offsets else "")
+        _write(flown[0] if listed is None else result, json, states, figures, animation, show)
     print(text)
     wrote(json, states, f"{figures}/" if figures else None, animation)
 

@@ -312,7 +312,7 @@ def joined(evaluations: Sequence[Evaluation]) -> Evaluation:
     files = {result.provenance["policy"]["file"]: result.row.policy for result in evaluations}
     labels = Counter(files.values())
     rows = [
-        dataclasses.replace(row, policy=file) if labels[row.policy] > 1 else row
+        row if labels[row.policy] == 1 else dataclasses.replace(row, policy=file)
         for result in evaluations
         for file in [result.provenance["policy"]["file"]]
         for row in result.rows

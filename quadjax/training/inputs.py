@@ -90,17 +90,25 @@ def states_of(name: str, flights: list[Flight]) -> dict[str, np.ndarray]:
     return arrays | {"target": np.concatenate(targets)}
 
 
-def check_functions(config: Config, params: RaceParams) -> None:
-    """Check the residual, and trace the race where a config names functions of the user's.
+def check_residual(config: Config, params: RaceParams) -> None:
+    """Check that a residual whose gain is scheduled adds something.
 
     Raises:
-        InputError: a residual of zeros whose gain is scheduled; a reward term, a rule or an
-            observation field that raises an error, or returns no scalar.
+        InputError: a file of zeros, as ``quadjax fit`` writes where it rejects every output.
     """
     residual = params.vehicle.residual
     if "vehicle.residual_gain" in config.schedules and residual and adds_nothing(residual):
         problem = f"{config.vehicle.residual} adds nothing: every output is zero"
         raise InputError(f"vehicle.residual: {problem}; leave out +residual and vehicle.residual")
+
+
+def check_functions(config: Config, params: RaceParams) -> None:
+    """Trace a reset, an observation and a step, where a config names functions of the user's.
+
+    Raises:
+        InputError: a reward term, a rule or an observation field that raises an error, or returns
+            no scalar.
+    """
     if config.reward.terms or config.rules.extra or config.observation.extra:
         environment = make_environment(make_choices(config))
         state = jax.eval_shape(environment.reset, params, jax.random.key(0))

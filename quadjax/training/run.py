@@ -34,7 +34,7 @@ from quadjax.training.build import (
 )
 from quadjax.training.checkpoint import Checkpoints, RunState
 from quadjax.training.folder import FILES, KIND, prepare_folder
-from quadjax.training.inputs import check_functions, check_learner
+from quadjax.training.inputs import check_functions, check_learner, check_residual
 from quadjax.training.progress import TrainingProgress
 from quadjax.training.result import MetricsFile, Run, check_tensorboard, is_finished, write_summary
 from quadjax.training.score import FEW_STEPS, gap, make_flights, no_lap
@@ -96,10 +96,6 @@ def train(
             count = getattr(config.learner, "num_envs", None)
             if display is not None and count is not None:
                 display.note(f"{config.name}: {count} environments (learner.num_envs)")
-            if display is not None:
-                vehicle = config.vehicle
-                for text in summarize(base_model(vehicle.model), vehicle.constants).warnings:
-                    display.note(f"warning: {vehicle.name}: {text}")
             with interruptions() as stop, display or contextlib.nullcontext():
                 _run(job, folder, resume, started, display, stop, enough)
         return Run.load(folder, config)
@@ -121,6 +117,7 @@ class _Job:
 def _prepare(config: Config) -> _Job:
     """Prepare a run; bad input is rejected here, before anything is written."""
     params = training_params(config)
+    check_residual(config, params)
     check_functions(config, params)
     learner, plan = make_learner(config)
     shapes = check_learner(config, learner, params)
@@ -142,7 +139,7 @@ def _run(
     """Compile, start or resume, train, and save; ends early after ``stop`` or ``enough``."""
     checkpoints = Checkpoints(folder / "checkpoints")
     fly = make_flights(job.config, job.params)
-    chunk, first = _compile(job, fly, stop)
+    chunk, first = _compile(job, fly, stop, display)
     run_state = RunState(state=first, best=jax.device_get(first.evaluated))
     if resume and checkpoints.exists:
         run_state = checkpoints.restore(run_state)
@@ -192,24 +189,34 @@ def _save(job: _Job, folder: Path, checkpoints: Checkpoints, run_state: RunState
 
 
 def _compile(
-    job: _Job, fly: Callable[[ActorCritic], Laps], stop: threading.Event
+    job: _Job,
+    fly: Callable[[ActorCritic], Laps],
+    stop: threading.Event,
+    display: TrainingProgress | None,
 ) -> tuple[Chunk, TrainState]:
     """The compiled chunk and the first state; the evaluation is compiled at the same time.
 
-    Compilation runs in threads, so that this one receives signals.
+    Compilation runs in threads, so that this one receives signals. So does the check of the
+    vehicle, which compiles a simulation of it.
     """
     learner, params, mesh = job.learner, job.params, job.mesh
 
     def begin() -> TrainState:
         return parallel.place(start_state(job.config, learner, params, job.initial), mesh)
 
-    pool = ThreadPoolExecutor(3)
+    def warn(display: TrainingProgress) -> None:
+        vehicle = job.config.vehicle
+        for text in summarize(base_model(vehicle.model), vehicle.constants).warnings:
+            display.note(f"warning: {vehicle.name}: {text}")
+
+    pool = ThreadPoolExecutor(4)
     try:
         first = pool.submit(begin)
         warm_up = pool.submit(lambda: fly(first.result().evaluated))
         updates = job.plan.updates_per_chunk
         chunk = pool.submit(parallel.compile_chunk, learner, mesh, updates, params, job.shapes)
-        _wait_for((chunk, warm_up), stop)
+        warned = [pool.submit(warn, display)] if display is not None else []
+        _wait_for((chunk, warm_up, *warned), stop)
         return chunk.result(), first.result()
     finally:
         pool.shutdown(wait=False)
