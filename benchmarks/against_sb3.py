@@ -2,18 +2,22 @@
 
 Both have the published hyperparameters, the same environment and one seed, and are evaluated after
 every update. The time of a side counts from the start of its process. Laps are of the mean action
-of the last policy, from hover. Arguments: SECONDS STEPS. Numbers: docs/design/results.md.
+of the best policy, from hover, which ``output`` keeps. Numbers: docs/design/results.md.
+
+    python -m benchmarks.against_sb3 e2e_paper --seconds 900 --steps 2500000
 """
 
+import math
 import multiprocessing
-import sys
-import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 import quadjax
+from quadjax.cli import options, script
 from quadjax.config.assembly import make_race
 from quadjax.learners.parallel import core_count, prepare_devices
 from quadjax.training.build import untrained_policy
@@ -40,18 +44,13 @@ class Clock:
         return (marks[-1][1] - marks[0][1]) / max(marks[-1][0] - marks[0][0], 1e-9)
 
 
-def by_quadjax(config, clock: Clock, started: float) -> quadjax.Policy:
-    """Train with quadjax; the last policy."""
-    from quadjax.training.run import train
-
-    with tempfile.TemporaryDirectory() as folder:
-        run = Path(folder) / "run"
-        train(config, run, started=started, enough=lambda row: clock.over(row["steps"]))
-        return quadjax.Policy.load(run / "policy_last.npz")
+def by_quadjax(config: quadjax.Config, over: Callable[[int], bool], folder: Path) -> None:
+    """Train with quadjax."""
+    quadjax.train(config, folder, overwrite=True, enough=lambda row: over(row["steps"]))
 
 
-def by_sb3(config, clock: Clock) -> quadjax.Policy:
-    """Train with Stable-Baselines3, PyTorch on all cores; the last policy."""
+def by_sb3(config: quadjax.Config, over: Callable[[int], bool], folder: Path) -> None:
+    """Train with Stable-Baselines3, PyTorch on all cores."""
     import torch
     from stable_baselines3.common.callbacks import BaseCallback
 
@@ -60,41 +59,64 @@ def by_sb3(config, clock: Clock) -> quadjax.Policy:
     torch.set_num_threads(core_count())
     untrained, runs = untrained_policy(config), score_runs(config)
 
-    class Stop(BaseCallback):
-        """Evaluates the policy after each update and reads the clock."""
+    class Evaluation(BaseCallback):
+        """Evaluates the policy after each update, keeps the best, and reads the clock."""
 
-        done = False
+        best, done = math.inf, False
 
         def _on_rollout_start(self) -> None:
             if self.num_timesteps:
                 policy = sb3.policy_of_ppo(self.model, untrained)
-                quadjax.evaluate(policy, config, runs=runs, deterministic=True)
-                self.done = clock.over(self.num_timesteps)
+                laps = quadjax.evaluate(policy, config, runs=runs, deterministic=True).laps
+                if laps.score <= self.best:
+                    self.best = laps.score
+                    policy.save(folder / "policy.npz")
+                print(f"{self.num_timesteps:,} steps, {laps.score:.2f} s", flush=True)
+                self.done = over(self.num_timesteps)
 
         def _on_step(self) -> bool:
             return not self.done
 
-    model = sb3.make_ppo(*make_race(config), config.learner, config.network, SEED)
-    model.learn(config.run.steps, callback=Stop())
-    return sb3.policy_of_ppo(model, untrained)
+    folder.mkdir(parents=True, exist_ok=True)
+    model = sb3.make_ppo(*make_race(config), config.learner, config.network, config.seed)
+    model.learn(config.run.steps, callback=Evaluation())
 
 
-def train_side(kind: str, config, seconds: float, steps: int, started: float) -> str:
+SIDES = {"quadjax": by_quadjax, "sb3": by_sb3}
+
+
+def train_side(
+    side: str, config: quadjax.Config, seconds: float, steps: int, started: float, folder: Path
+) -> str:
     """Train one side in this process, which began at ``started``; a line of the table."""
-    prepare_devices("auto" if kind == "quadjax" else "1")
+    prepare_devices("auto" if side == "quadjax" else "1")
     clock = Clock(started, seconds, steps)
-    trained = by_sb3(config, clock) if kind == "sb3" else by_quadjax(config, clock, started)
-    laps = quadjax.evaluate(trained, config, runs=1, deterministic=True).laps
+    SIDES[side](config, clock.over, folder)
+    best = quadjax.Policy.load(folder / "policy.npz")
+    laps = quadjax.evaluate(best, config, runs=1, deterministic=True).laps
     done, wall = int(laps.laps_completed()[0]), clock.marks[-1][0] - started
     effort = f"{clock.marks[-1][1] / 1e6:.1f} | {wall:.0f} | {time.process_time():.0f}"
-    return f"| {kind} | {clock.speed():,.0f} | {effort} | {done} in {laps.totals[0]:.2f} s |"
+    return f"| {side} | {clock.speed():,.0f} | {effort} | {done} in {laps.totals[0]:.2f} s |"
+
+
+def against_sb3(
+    preset: str = "e2e_paper",
+    *changes: str,
+    sides: Annotated[tuple[str, ...], options.LIST] = tuple(SIDES),
+    seconds: float = 900.0,
+    steps: int = 0,
+    output: Path = Path("runs/against_sb3"),
+) -> None:
+    """Train a preset of PPO by each side, and print a table."""
+    learner = quadjax.load(preset, changes).learner
+    every = f"run.evaluate_every={learner.num_envs * learner.rollout_length}"
+    config = quadjax.load(preset, [*changes, every])
+    print("| side | steps/s | M steps | wall s | CPU s | laps |\n|---|---|---|---|---|---|")
+    for side in sides:
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            words = side, config, seconds, steps, time.monotonic(), output / side
+            print(pool.apply(train_side, words), flush=True)
 
 
 if __name__ == "__main__":
-    learner = quadjax.load(PRESET).learner
-    every = f"run.evaluate_every={learner.num_envs * learner.rollout_length}"
-    race, limits = quadjax.load(PRESET, [every]), (float(sys.argv[1]), int(sys.argv[2]))
-    print("| side | steps/s | M steps | wall s | CPU s | laps |\n|---|---|---|---|---|---|")
-    for side in ("quadjax", "sb3"):
-        with multiprocessing.get_context("spawn").Pool(1) as pool:
-            print(pool.apply(train_side, (side, race, *limits, time.monotonic())), flush=True)
+    script(against_sb3)
