@@ -12,11 +12,10 @@ from typing import Annotated
 
 import jax
 import numpy as np
-from cyclopts import Parameter
 
 import quadjax
 from quadjax.cli import script
-from quadjax.cli.options import whole
+from quadjax.cli.options import LIST, whole
 from quadjax.core.sections import MAX_RUNS
 from quadjax.race.types import Step
 
@@ -43,7 +42,7 @@ def caught(policy: quadjax.Policy, config: quadjax.Config, throws: int) -> np.nd
 
 def hover(
     *overrides: str,
-    seeds: Annotated[tuple[int, ...], Parameter(consume_multiple=True)] = (0,),
+    seeds: Annotated[tuple[int, ...], LIST] = (0,),
     throws: Annotated[int, whole(1, MAX_RUNS)] = 10_000,
     output: Path = Path("runs/hover"),
 ) -> None:

@@ -14,14 +14,13 @@ import itertools
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Parameter
-
 from benchmarks.loop_drone import CONTENDERS, Drone
 from benchmarks.loop_results import E2E, TUNED, Numbers
 from quadjax.cli import script
+from quadjax.cli.options import LIST
 from quadjax.core.errors import InputError
 
-Names = Annotated[tuple[str, ...], Parameter(consume_multiple=True)]
+Names = Annotated[tuple[str, ...], LIST]
 
 
 def loop(

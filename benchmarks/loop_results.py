@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from cyclopts import Parameter
 
+from quadjax.cli.options import LIST
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json
 from quadjax.flights.flight import Flight
@@ -16,7 +16,7 @@ LIMITS = range(10, 21)  # m/s^2, of INDI's thrust
 CHOSEN = "chosen"  # the flights by which INDI's limit is chosen
 GRAVITY = 9.81  # m/s^2
 LAPS = 6
-Numbers = Annotated[tuple[int, ...], Parameter(consume_multiple=True)]
+Numbers = Annotated[tuple[int, ...], LIST]
 Read = Callable[[str, str], list[Any]]  # contender, key -> value of each drone, None for none
 
 

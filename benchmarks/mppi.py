@@ -24,7 +24,6 @@ from typing import Annotated
 import jax
 import jax.numpy as jnp
 import numpy as np
-from cyclopts import Parameter
 
 import quadjax
 from quadjax.cli import options, script
@@ -82,8 +81,8 @@ def fly(choices: Choices, n: int, params: RaceParams, seed: int, end: int) -> la
 
 def mppi(
     *,
-    tracks: Annotated[tuple[str, ...], Parameter(consume_multiple=True)] = TRACKS,
-    seeds: Annotated[tuple[int, ...], Parameter(consume_multiple=True)] = (0,),
+    tracks: Annotated[tuple[str, ...], options.LIST] = TRACKS,
+    seeds: Annotated[tuple[int, ...], options.LIST] = (0,),
     samples: options.Count = 1024,
     train: bool = False,
 ) -> None:

@@ -14,14 +14,14 @@ from pydantic import Field as Bounded
 
 import quadjax
 from quadjax.cli import script
-from quadjax.cli.options import ConfigName, Folder, Overrides, PolicyFile, Runs
+from quadjax.cli.options import LIST, ConfigName, Folder, Overrides, PolicyFile, Runs
 from quadjax.core.errors import InputError
 from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
 from quadjax.core.sections import Field, Section, load_section
 from quadjax.evaluation.training import train_once
 
-Names = Annotated[tuple[str, ...], Parameter(consume_multiple=True, metavar="NAME ...")]
+Names = Annotated[tuple[str, ...], LIST, Parameter(metavar="NAME ...")]
 TITLES = ("track", "drone", "lap", "best known", "gap", "finished", "top speed")
 
 
