@@ -110,10 +110,15 @@ def check_functions(config: Config, params: RaceParams) -> None:
             no scalar.
     """
     if config.reward.terms or config.rules.extra or config.observation.extra:
-        environment = make_environment(make_choices(config))
-        state = jax.eval_shape(environment.reset, params, jax.random.key(0))
-        jax.eval_shape(environment.observe, params, state)
-        jax.eval_shape(environment.step, params, state, jnp.zeros(environment.action_size))
+        trace_race(config, params)
+
+
+def trace_race(config: Config, params: RaceParams) -> None:
+    """Trace a reset, an observation and a step of a training."""
+    environment = make_environment(make_choices(config))
+    state = jax.eval_shape(environment.reset, params, jax.random.key(0))
+    jax.eval_shape(environment.observe, params, state)
+    jax.eval_shape(environment.step, params, state, jnp.zeros(environment.action_size))
 
 
 def check_learner(config: Config, learner: Learner, params: RaceParams) -> TrainState:

@@ -24,12 +24,11 @@ import yaml
 from matplotlib.figure import Figure
 
 from quadjax import compare, improve
-from quadjax.config.assembly import make_choices
 from quadjax.evaluation import training
 from quadjax.learners import parallel
 from quadjax.limits import result as limit
-from quadjax.race.environment import make_environment
 from quadjax.race.laps import Laps
+from quadjax.training import inputs
 from quadjax.training import run as training_run
 from quadjax.training.build import make_networks, start_state
 from quadjax.training.checkpoint import Checkpoints
@@ -88,14 +87,6 @@ def folder(tmp_path, monkeypatch):
 METRICS = {}  # of an update, by what learner it is of
 
 
-def traced_race(config, params):
-    """Trace a reset, an observation and a step of a training."""
-    environment = make_environment(make_choices(config))
-    state = jax.eval_shape(environment.reset, params, jax.random.key(0))
-    jax.eval_shape(environment.observe, params, state)
-    jax.eval_shape(environment.step, params, state, jnp.zeros(environment.action_size))
-
-
 def first_state(config, learner, params, initial=None):
     """As ``build.start_state``: the networks, and zeros for all else."""
 
@@ -130,7 +121,7 @@ def in_this_process(command, **options):
 
 def train_nothing(monkeypatch):
     """Trainings from here on leave the policy as it begins."""
-    monkeypatch.setattr(training_run, "check_functions", traced_race)
+    monkeypatch.setattr(training_run, "check_functions", inputs.trace_race)
     monkeypatch.setattr(training_run, "start_state", first_state)
     monkeypatch.setattr(parallel, "compile_chunk", unchanged)
     monkeypatch.setattr(Checkpoints, "save", lambda *_: None)

@@ -10,6 +10,7 @@ import pytest
 
 import quadjax
 from tests.commands import run
+from tests.policy.writers import c_source, forward, linear, relu
 from tests.surface.short import OF_EACH, OF_LEARNER, short_config
 from tests.surface.test_training import start, wait_for
 from tests.view.browser import browser, opened, wait_until
@@ -55,30 +56,14 @@ def test_a_killed_sweep_goes_on_and_runs_every_trial_once(tmp_path):
     assert first in summaries(folder).items()  # it was not trained again
 
 
-def arrays_as_c(sizes: tuple[int, ...]) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
-    """A network as C source, row by row per output, and its layers (kernel, bias)."""
-    rng, lines, layers = np.random.default_rng(0), [], []
-    for number, shape in enumerate(zip(sizes[:-1], sizes[1:], strict=True), start=1):
-        kernel = rng.standard_normal(shape).astype(np.float32)
-        bias = rng.standard_normal(shape[1]).astype(np.float32)
-        layers.append((kernel, bias))
-        for name, array in (("weights", kernel.T), ("biases", bias)):
-            numbers = ", ".join(f"{x:.9g}f" for x in array.ravel())
-            lines.append(f"static const float {name}_fc{number}[] = {{{numbers}}};")
-    return "\n".join(lines), layers
-
-
 def test_a_network_in_c_is_imported_and_evaluated(tmp_path):
-    text, layers = arrays_as_c((24, 8, 4))
-    (tmp_path / "network.c").write_text(text)
-    file = tmp_path / "policy.npz"
+    arrays, file = linear((24, 8, 4)), tmp_path / "policy.npz"
+    (tmp_path / "network.c").write_text(c_source(arrays))
     words = ("--activation", "relu", "--std", 0.1, "--output", file)
     assert run("import", "e2e", tmp_path / "network.c", *words) == 0
-    policy = quadjax.Policy.load(file)
     x = np.random.default_rng(1).standard_normal((5, 24)).astype(np.float32)
-    (first, first_bias), (second, second_bias) = layers
-    wanted = np.maximum(x @ first + first_bias, 0.0) @ second + second_bias
-    np.testing.assert_allclose(policy.mean(x), np.clip(wanted, -1.0, 1.0), atol=1e-5)
+    wanted = np.clip(forward(arrays, x, activation=relu), -1.0, 1.0)
+    np.testing.assert_allclose(quadjax.Policy.load(file).mean(x), wanted, atol=1e-5)
 
 
 @pytest.mark.slow
