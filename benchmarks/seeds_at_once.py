@@ -60,7 +60,7 @@ def scorer(config: quadjax.Config) -> Callable[[ActorCritic], list[float]]:
 
     def score(networks: ActorCritic) -> list[float]:
         flown = jax.device_get(race(networks))
-        of_seeds = (jax.tree.map(lambda x: x[i], flown) for i in range(len(flown.over)))
+        of_seeds = (jax.tree.map(lambda x, i=i: x[i], flown) for i in range(len(flown.over)))
         dt = float(params.rules.time_step)
         return [laps_of(choices, one, dt, limit).score for one in of_seeds]
 
