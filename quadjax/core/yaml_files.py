@@ -1,6 +1,7 @@
 """YAML 1.2 files, ``key=value`` overrides and their composition, as plain dictionaries."""
 
 import dataclasses
+import functools
 import io
 import itertools
 import json
@@ -50,10 +51,7 @@ def parse_yaml(text: str, source: str) -> object:
     """
     where, reason = "", "nested too deep"
     try:
-        value = _loader().load(text)
-        if sum(1 for _ in itertools.islice(_values(value), MAX_VALUES + 1)) > MAX_VALUES:
-            raise ValueError(f"more than {MAX_VALUES:,} values, with those of aliases")
-        return json.loads(json.dumps(value))  # only plain values pass
+        return json.loads(_as_json(text))
     except RecursionError:
         pass
     except MarkedYAMLError as error:
@@ -62,6 +60,15 @@ def parse_yaml(text: str, source: str) -> object:
     except (YAMLError, ValueError, TypeError) as error:
         reason = f"not YAML of plain values ({error})"
     raise InputError(f"{source}:{where} {short(' '.join(reason.split()), 160, str)}")
+
+
+@functools.lru_cache(maxsize=256)
+def _as_json(text: str) -> str:
+    """The value of a YAML text as JSON; only plain values pass. Equal texts are parsed once."""
+    value = _loader().load(text)
+    if sum(1 for _ in itertools.islice(_values(value), MAX_VALUES + 1)) > MAX_VALUES:
+        raise ValueError(f"more than {MAX_VALUES:,} values, with those of aliases")
+    return json.dumps(value)
 
 
 def _values(value: object) -> Iterator[object]:
