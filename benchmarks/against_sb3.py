@@ -7,23 +7,19 @@ of the best policy, from hover, which ``output`` keeps. Numbers: docs/design/res
     python -m benchmarks.against_sb3 e2e_paper --seconds 900 --steps 2500000
 """
 
-import math
 import multiprocessing
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 
 import quadjax
 from quadjax.cli import options, script
 from quadjax.config.assembly import make_race
-from quadjax.learners.parallel import core_count, prepare_devices
+from quadjax.learners.parallel import prepare_devices
 from quadjax.training.build import untrained_policy
 from quadjax.training.score import score_runs
-
-PRESET, SEED = "e2e_paper", 0
 
 
 class Clock:
@@ -40,39 +36,32 @@ class Clock:
 
     def speed(self) -> float:
         """Steps per second from the end of the first update, if there are several, to the last."""
-        marks = self.marks[1:] if len(self.marks) > 2 else self.marks
-        return (marks[-1][1] - marks[0][1]) / max(marks[-1][0] - marks[0][0], 1e-9)
+        (began, first), (ended, last) = self.marks[len(self.marks) > 2], self.marks[-1]
+        return (last - first) / max(ended - began, 1e-9)
 
 
-def by_quadjax(config: quadjax.Config, over: Callable[[int], bool], folder: Path) -> None:
-    """Train with quadjax."""
-    quadjax.train(config, folder, overwrite=True, enough=lambda row: over(row["steps"]))
-
-
-def by_sb3(config: quadjax.Config, over: Callable[[int], bool], folder: Path) -> None:
+def by_sb3(config: quadjax.Config, clock: Clock, folder: Path) -> None:
     """Train with Stable-Baselines3, PyTorch on all cores."""
-    import torch
     from stable_baselines3.common.callbacks import BaseCallback
 
     from quadjax.integrations import sb3
 
-    torch.set_num_threads(core_count())
     untrained, runs = untrained_policy(config), score_runs(config)
 
     class Evaluation(BaseCallback):
         """Evaluates the policy after each update, keeps the best, and reads the clock."""
 
-        best, done = math.inf, False
+        best, done = np.inf, False
 
         def _on_rollout_start(self) -> None:
             if self.num_timesteps:
                 policy = sb3.policy_of_ppo(self.model, untrained)
-                laps = quadjax.evaluate(policy, config, runs=runs, deterministic=True).laps
-                if laps.score <= self.best:
-                    self.best = laps.score
+                score = quadjax.evaluate(policy, config, runs=runs, deterministic=True).laps.score
+                if score <= self.best:
+                    self.best = score
                     policy.save(folder / "policy.npz")
-                print(f"{self.num_timesteps:,} steps, {laps.score:.2f} s", flush=True)
-                self.done = over(self.num_timesteps)
+                print(f"{self.num_timesteps:,} steps, {score:.2f} s", flush=True)
+                self.done = clock.over(self.num_timesteps)
 
         def _on_step(self) -> bool:
             return not self.done
@@ -82,27 +71,26 @@ def by_sb3(config: quadjax.Config, over: Callable[[int], bool], folder: Path) ->
     model.learn(config.run.steps, callback=Evaluation())
 
 
-SIDES = {"quadjax": by_quadjax, "sb3": by_sb3}
-
-
 def train_side(
     side: str, config: quadjax.Config, seconds: float, steps: int, started: float, folder: Path
 ) -> str:
     """Train one side in this process, which began at ``started``; a line of the table."""
     prepare_devices("auto" if side == "quadjax" else "1")
     clock = Clock(started, seconds, steps)
-    SIDES[side](config, clock.over, folder)
-    best = quadjax.Policy.load(folder / "policy.npz")
-    laps = quadjax.evaluate(best, config, runs=1, deterministic=True).laps
-    done, wall = int(laps.laps_completed()[0]), clock.marks[-1][0] - started
-    effort = f"{clock.marks[-1][1] / 1e6:.1f} | {wall:.0f} | {time.process_time():.0f}"
+    if side == "sb3":
+        by_sb3(config, clock, folder)
+    else:
+        quadjax.train(config, folder, enough=lambda row: clock.over(row["steps"]))
+    laps = quadjax.evaluate(folder / "policy.npz", config, runs=1, deterministic=True).laps
+    done, (ended, total) = int(laps.laps_completed()[0]), clock.marks[-1]
+    effort = f"{total / 1e6:.1f} | {ended - started:.0f} | {time.process_time():.0f}"
     return f"| {side} | {clock.speed():,.0f} | {effort} | {done} in {laps.totals[0]:.2f} s |"
 
 
 def against_sb3(
     preset: str = "e2e_paper",
     *changes: str,
-    sides: Annotated[tuple[str, ...], options.LIST] = tuple(SIDES),
+    sides: Annotated[tuple[Literal["quadjax", "sb3"], ...], options.LIST] = ("quadjax", "sb3"),
     seconds: float = 900.0,
     steps: int = 0,
     output: Path = Path("runs/against_sb3"),

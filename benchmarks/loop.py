@@ -37,7 +37,7 @@ def loop(
         raise InputError(f"contenders: unknown {sorted(unknown)}, allowed: {[TUNED, *CONTENDERS]}")
     for seed, number, name in itertools.product(seeds, drones, contenders):
         drone = Drone(plant, number, output / str(number), steps)
-        drone.contend(drone.tune() if name == TUNED else name, seed)
+        drone.contend(drone.tune(seed) if name == TUNED else name, seed)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """What ``benchmarks.loop`` leaves in its folder, read for ``loop_tables`` and ``loop_figure``."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,15 +29,15 @@ def mean_thrust(flights: Sequence[Flight]) -> float:
     return float(np.mean(means))
 
 
-def fastest_limit(folder: Path) -> str:
-    """The INDI contender of seed 0 that finishes the most flights, the fastest of several."""
+def fastest_limit(folder: Path, seed: int, limits: Iterable[int] = LIMITS) -> str:
+    """The INDI contender of a seed that finishes the most flights, the fastest of several."""
 
     def merit(name: str) -> tuple[int, float]:
-        flown = read_json(folder / f"{name}, seed 0.json")[CHOSEN]
+        flown = read_json(folder / f"{name}, seed {seed}.json")[CHOSEN]
         return flown["finished"], -float(np.mean([total or 0.0 for total in flown["totals"]]))
 
-    names = [f"INDI, T {limit}" for limit in LIMITS]
-    flown = [name for name in names if (folder / f"{name}, seed 0.json").exists()]
+    names = [f"INDI, T {limit}" for limit in limits]
+    flown = [name for name in names if (folder / f"{name}, seed {seed}.json").exists()]
     if not flown:
         raise InputError(f"{folder}: no flights of INDI; run benchmarks.loop with INDI, tuned")
     return max(flown, key=merit)
@@ -49,8 +49,8 @@ def reader(folder: Path, drones: Sequence[int], seeds: Sequence[int]) -> Read:
     def read(name: str, key: str) -> list[Any]:
         result: list[Any] = []
         for at in (folder / str(drone) for drone in drones):
-            label = fastest_limit(at) if name == TUNED else name
-            files = [at / f"{label}, seed {seed}.json" for seed in seeds]
+            labels = {seed: fastest_limit(at, seed) if name == TUNED else name for seed in seeds}
+            files = [at / f"{label}, seed {seed}.json" for seed, label in labels.items()]
             records = [read_json(file)[key] for file in files if file.exists()]
             laps = [r["laps"] if isinstance(r, dict) else [r] for r in records]
             result.append(np.concatenate(np.array(laps, float)) if records else None)

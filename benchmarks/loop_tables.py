@@ -54,16 +54,18 @@ def contenders(read: Read) -> str:
     return table(rows)
 
 
-def by_drone(read: Read, folder: Path, drones: Sequence[int]) -> str:
-    """E2E and tuned INDI on each drone."""
-    rows = [("drone", "INDI's limit", "INDI, s", "finished", "E2E, s", "finished", "lead, s")]
+def by_drone(read: Read, folder: Path, drones: Sequence[int], seeds: Sequence[int]) -> str:
+    """E2E and tuned INDI on each drone; the limit of INDI in the training of each seed."""
+    rows = [("drone", "INDI's limits", "INDI, s", "finished", "E2E, s", "finished", "lead, s")]
     flown = {name: read(name, "flown") for name in (TUNED, E2E)}
     indi, e2e = (means(laps).sum(axis=1) for laps in flown.values())
     for i, drone in enumerate(drones):
-        limit = fastest_limit(folder / str(drone)).removeprefix("INDI, T ")
+        names = (fastest_limit(folder / str(drone), seed) for seed in seeds)
+        limits = ", ".join(name.removeprefix("INDI, T ") for name in names)
         counts = (finished(laps[i : i + 1]) for laps in flown.values())
         pairs = zip((f"{indi[i]:.2f}", f"{e2e[i]:.2f}"), counts, strict=True)
-        rows.append((f"{drone}", limit, *(x for p in pairs for x in p), f"{(indi - e2e)[i]:.2f}"))
+        numbers = (x for pair in pairs for x in pair)
+        rows.append((f"{drone}", limits, *numbers, f"{(indi - e2e)[i]:.2f}"))
     totals = ((cell(times), finished(flown[name])) for name, times in ((TUNED, indi), (E2E, e2e)))
     rows.append(("mean", "", *(x for pair in totals for x in pair), cell(indi - e2e)))
     return table(rows)
@@ -100,8 +102,8 @@ def loop_tables(
 ) -> None:
     """Print the tables of contenders, drones, laps and responses."""
     read = reader(folder, drones, seeds)
-    parts = contenders(read), by_drone(read, folder, drones), by_lap(read), responses(read)
-    print("\n\n".join(parts))
+    flights = contenders(read), by_drone(read, folder, drones, seeds)
+    print("\n\n".join((*flights, by_lap(read), responses(read))))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
 Environment steps a second with the reset of finished episodes, the same with the observation for
 each vehicle model, and training steps a second. Every measurement runs in a separate process: the
-median of its repeats, in brackets the slowest. docs/design/simulator.md has numbers.
+median of its repeats, in brackets the slowest. docs/design/simulator.md has numbers. Arguments: the
+repeats, and measurements in place of all, such as ``3 training:e2e:8192``: with 8192 environments.
 """
 
 import multiprocessing
@@ -79,10 +80,12 @@ def measure(kind: str, name: str, num_envs: int, repeats: int) -> str:
     from quadjax.config.loading import load_config
     from quadjax.learners.parallel import prepare_devices
 
-    observed = kind == "observed"
-    config = load_config("e2e" if observed else name, [f"vehicle={name}"] if observed else [])
+    observed, training = kind == "observed", kind == "training"
+    words = [f"vehicle={name}"] * observed + [f"learner.num_envs={num_envs}"] * bool(
+        training and num_envs
+    )
+    config = load_config("e2e" if observed else name, words)
     prepare_devices("auto")
-    training = kind == "training"
     call, steps = (
         training_loop(config) if training else environment_loop(config, num_envs, observed)
     )
@@ -96,6 +99,7 @@ def measure(kind: str, name: str, num_envs: int, repeats: int) -> str:
 
 if __name__ == "__main__":
     print(f"{os.cpu_count()} cores")
-    for job in JOBS:
+    named = [word.split(":") for word in sys.argv[2:]]
+    for job in [(kind, name, int(number)) for kind, name, number in named] or JOBS:
         with multiprocessing.get_context("spawn").Pool(1) as pool:
             print(pool.apply(measure, (*job, int(sys.argv[1]) if sys.argv[1:] else 3)), flush=True)

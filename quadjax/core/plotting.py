@@ -50,10 +50,12 @@ def head(axes: Axes, title: str = "", columns: int = 4) -> None:
     Args:
         axes: with everything drawn that has a label.
         title: above the legend.
-        columns: of the legend.
+        columns: of the legend, at most: fewer where the labels are too long for the figure.
     """
     handles, labels = axes.get_legend_handles_labels()
     if handles:
+        width = 0.6 + 0.07 * max(map(len, labels))  # inches
+        columns = min(columns, max(1, int(axes.get_figure(root=True).get_figwidth() / width)))
         place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.01, 0.99)}
         style: dict[str, Any] = {
             "frameon": False,
@@ -61,7 +63,8 @@ def head(axes: Axes, title: str = "", columns: int = 4) -> None:
             "fontsize": 9,
             "borderaxespad": 0.2,
         }
-        axes.legend(handles, labels, ncols=columns, **place, **style)
+        legend = axes.legend(handles, labels, ncols=columns, **place, **style)
+        legend.set_in_layout(not title)  # a title leaves its height; it may be wider than the axes
     rows = -(-len(handles) // columns)
     axes.set_title(title, color=INK, fontsize=13, loc="left", pad=8 + 17 * rows)
 
