@@ -36,7 +36,7 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn, Self, TypeGuard, TypeVar
 
 import pydantic
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
@@ -44,7 +44,7 @@ from quadjax.core.errors import InputError, close_match, short
 from quadjax.core.resources import find_config
 from quadjax.core.yaml_files import Layer, Sources, Tree, merge_layers, parse_overrides, read_layers
 
-__all__ = ["Field", "Section", "validate", "load_section", "model_validator"]
+__all__ = ["Field", "PrivateAttr", "Section", "validate", "load_section", "model_validator"]
 
 LARGEST = 1e9  # default bound of numbers
 MAX_LAPS, MAX_GATES, MAX_RUNS = 1000, 10_000, 100_000  # of one evaluation, simulated all at once

@@ -28,6 +28,7 @@ from quadjax.core.sections import (
     MAX_RUNS,
     MAX_SEED,
     Field,
+    PrivateAttr,
     Section,
     load_section,
     model_validator,
@@ -86,24 +87,35 @@ class Condition(Section):
             check_drone(race)
         return race
 
-    def on_plant(self, plant: PlantConfig) -> PlantConfig:
-        """The plant of the condition.
+    def on_plant(self, plant: PlantConfig | None) -> PlantConfig | None:
+        """The plant of the condition; None: the simulator.
 
         Raises:
-            InputError: an unknown key or effect.
+            InputError: an unknown key or effect, a change that the simulator does not have, or
+                damage, which the plant does not have.
         """
-        if self.only is not None:
-            none, effects = without_effects(plant), plant.effects.model_dump()
-            for name in self.only:
-                if name not in (allowed := (*effects, DELAYS)):
-                    raise InputError(
-                        f"{self.label}: only has {name!r}, allowed: {', '.join(allowed)}"
-                    )
-            on = {name: effects[name] for name in self.only if name != DELAYS}
-            delay = plant.delay if DELAYS in self.only else none.delay
-            plant = none.replace(effects=none.effects.replace(**on), delay=delay)
-        tree = merge_trees(plant.model_dump(), parse_overrides(self.plant))
-        return validate(type(plant), tree, self.label) if self.plant else plant
+        with prefixed(f"condition {self.label}"):
+            if plant is None:
+                if self.plant or self.only is not None:
+                    raise InputError("changes the plant, allowed: with a plant")
+                return None
+            if self.damage is not None:
+                raise InputError("has damage, allowed: without a plant")
+            if self.only is not None:
+                plant = _with_only(plant, self.only)
+            tree = merge_trees(plant.model_dump(), parse_overrides(self.plant))
+            return validate(type(plant), tree, "plant") if self.plant else plant
+
+
+def _with_only(plant: PlantConfig, names: Sequence[str]) -> PlantConfig:
+    """A plant without all effects but some; ``DELAYS`` are one of them."""
+    none, effects = without_effects(plant), plant.effects.model_dump()
+    for name in names:
+        if name not in (allowed := (*effects, DELAYS)):
+            raise InputError(f"only has {name!r}, allowed: {', '.join(allowed)}")
+    on = {name: effects[name] for name in names if name != DELAYS}
+    delay = plant.delay if DELAYS in names else none.delay
+    return none.replace(effects=none.effects.replace(**on), delay=delay)
 
 
 class Conditions(Section):
@@ -132,6 +144,7 @@ class Conditions(Section):
     plant: str | None = Field(None, description="config of the plant; null: the simulator")
     plants: int = Field(1, ge=1, le=1000, description="drawn plants, which share the flights")
     conditions: tuple[Condition, ...] = Field(min_length=1, max_length=1000, description="list")
+    _source: str = PrivateAttr("conditions")  # the file or the name, for messages
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -165,14 +178,41 @@ class Conditions(Section):
         defaults = {key: x for key, x in defaults.items() if getattr(self, key) is None}
         return self.replace(**defaults | changes)
 
+    def replace(self, **changes: object) -> Self:
+        """A copy with other values, of the same source."""
+        return super().replace(**changes).of_source(self._source)
+
+    def of_source(self, source: str) -> Self:
+        """The list with the file or the name that messages begin with."""
+        self._source = source
+        return self
+
     def under(self, condition: Condition) -> Self:
         """The list with the start, the actions and the seed of one of its conditions."""
         choices = {"start": condition.start, "deterministic": condition.deterministic}
         update = {key: value for key, value in choices.items() if value is not None}
         return self.model_copy(update=update | {"seed": self.seed + condition.seed})
 
-    def of(self, config: Config) -> Iterator[tuple[Condition, Config]]:
-        """Each condition, and the race in it."""
+    def of(
+        self, config: Config, plant: PlantConfig | None = None
+    ) -> Iterator[tuple[Condition, Config, PlantConfig | None]]:
+        """Each condition, the race in it, and the plant.
+
+        The plant is None in the simulator, and for what a plant cannot start: of several
+        conditions, those that do not begin at hover.
+
+        Raises:
+            InputError: that names the list and the condition.
+        """
+        with prefixed(self._source):
+            races = list(self._races(config))
+            for condition, race in races:
+                left_out = len(races) > 1 and self.under(condition).start != "hover"
+                stays = plant is None or not left_out
+                yield condition, race, condition.on_plant(plant) if stays else None
+
+    def _races(self, config: Config) -> Iterator[tuple[Condition, Config]]:
+        """Each condition, those of drawn constants too, and the race in it."""
         base = changed(config, self.overrides)
         listed = {condition.label: condition.race(base) for condition in self.conditions}
         for condition in self.conditions:
@@ -202,7 +242,7 @@ def read_conditions(
         InputError: an unreadable file, an unknown key or label, or a value that is not allowed.
     """
     if isinstance(source, (str, Path)):
-        source = load_section(Conditions, source, FOLDER)
+        source = load_section(Conditions, source, FOLDER).of_source(str(source))
     elif not isinstance(source, Conditions):
         source = Conditions(conditions=tuple(source))
     if only is None:
@@ -210,7 +250,9 @@ def read_conditions(
     by_label = {condition.label: condition for condition in source.conditions}
     for label in only:
         if label not in by_label:
-            raise InputError(f"--only: {label!r}, allowed: {', '.join(by_label)}")
+            raise InputError(
+                f"{source._source}: no condition {label!r}, allowed: {', '.join(by_label)}"
+            )
     return source.replace(conditions=tuple(by_label[label] for label in only))
 
 

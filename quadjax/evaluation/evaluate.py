@@ -1,6 +1,5 @@
 """Timed flights of a policy by the rules of a race, under one or several conditions."""
 
-import contextlib
 import dataclasses
 import functools
 from collections import Counter
@@ -15,7 +14,7 @@ from quadjax.config.checks import with_body
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
-from quadjax.core.errors import InputError, prefixed
+from quadjax.core.errors import InputError
 from quadjax.core.provenance import provenance
 from quadjax.evaluation import figures
 from quadjax.evaluation.conditions import Condition, Conditions, Start, read_conditions
@@ -99,25 +98,20 @@ def evaluate(
         plant = load_plant_config(plant)
     if plant is not None and actor is not pilot.fly:
         raise InputError("actor is not None, allowed: without a plant")
-    file = isinstance(conditions, Path | str)
-    with prefixed(str(conditions)) if file else contextlib.nullcontext():
-        flying = list(protocol.of(config))
-    left_out = []
-    if plant is not None and len(flying) > 1:
-        left_out = [c.label for c, _ in flying if protocol.under(c).start != "hover"]
+    flying = list(protocol.of(config, plant))
+    left_out = [c.label for c, _, drone in flying if plant is not None and drone is None]
+    if len(left_out) == len(flying):
+        raise InputError("plant: no condition starts from hover, allowed: start=hover")
     rows = []
-    for condition, race in flying:
+    for condition, race, drone in flying:
         if condition.label in left_out:
             continue
         progress(name if conditions is None else f"{name}: {condition.label}")
         flown = protocol.under(condition)
-        if plant is None:
+        if drone is None:
             row = simulate(network, name, (config, race), condition, flown, actor)
-        elif condition.damage is None:
-            drone = condition.on_plant(plant)
-            row = fly_plants(network, name, race, drone, condition.label, flown)
         else:
-            raise InputError(f"condition {condition.label}: has damage, allowed: without a plant")
+            row = fly_plants(network, name, race, drone, condition.label, flown)
         row = dataclasses.replace(row, policy=_label(name))
         if conditions is None and not flown.tracks:
             how = "deterministic" if flown.deterministic else "sampled"

@@ -55,11 +55,9 @@ def simulate(
         protocol, if any.
 
     Raises:
-        InputError: a policy that does not fit, or a condition that a simulation does not have.
+        InputError: a policy that does not fit, or a start that random tracks do not have.
     """
     modeled, config = configs
-    if condition.plant or condition.only is not None:
-        raise InputError(f"condition {condition.label}: changes the plant, allowed: with a plant")
     label = condition.label
     if protocol.tracks:
         if protocol.start != "hover":

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -39,10 +40,9 @@ RACE = load_config("e2e +residual", ["evaluate.laps=6"])
 @pytest.mark.parametrize("name", preset_names("conditions"))
 def test_shipped_lists_are_valid(name):
     listed = read_conditions(name)
-    races = dict((condition.label, race) for condition, race in listed.of(RACE))
+    plant = None if listed.plant is None else PlantConfig()
+    races = {condition.label: race for condition, race, _ in listed.of(RACE, plant)}
     assert set(races) >= {condition.label for condition in listed.conditions}
-    if listed.plant is not None:
-        assert all(condition.on_plant(PlantConfig()) for condition in listed.conditions)
 
 
 REFUSED = """
@@ -53,18 +53,25 @@ conditions: [{label: a, thrust: 0.9}] | unknown key conditions[0].thrust
 {laps: 2, seconds: 3, conditions: [{label: a}]} | allowed: one of laps, gates, seconds
 conditions: [{label: a, overrides: [vehicle.mass=1]}] | condition a: vehicle.mass: Vehicle: unknown
 conditions: [{label: a, overrides: ["vehicle.mismatch={kw: 2}"]}] | a: unknown key vehicle.mismatch
-conditions: [{label: a, overrides: [wind]}] | wind is not of the form key=value
-{plant: standin, conditions: [{label: a, only: [wind]}]} | only has 'wind', allowed: inflow
+conditions: [{label: a, overrides: [wind]}] | condition a: wind is not of the form key=value
+{overrides: [wind=1], conditions: [{label: a}]} | wind
+{plant: standin, conditions: [{label: a, only: [wind]}]} | a: only has 'wind', allowed: inflow
+{plant: standin, conditions: [{label: a, plant: [wind=1]}]} | a: plant: unknown key wind
 {plant: standin, conditions: [{label: a, damage: {}}]} | a: has damage, allowed: without a plant
+conditions: [{label: a, plant: [effects.gusts=0]}] | a: changes the plant, allowed: with a plant
 """
 
 
-def test_a_list_that_cannot_be_used_is_refused(tmp_path):
+def test_a_list_that_cannot_be_used_is_refused(tmp_path, monkeypatch):
+    """By its file, also where the command has read it before."""
+    monkeypatch.chdir(tmp_path)
     for row in REFUSED.strip().splitlines():
         text, message = row.split(" | ")
-        (tmp_path / "mine.yaml").write_text(text)
-        with pytest.raises(InputError, match=re.escape(message)):
-            quadjax.evaluate("e2e_nominal", "e2e", conditions=tmp_path / "mine.yaml")
+        Path("mine.yaml").write_text(text)
+        with pytest.raises(InputError, match=f"^mine.yaml: .*{re.escape(message)}") as caught:
+            quadjax.evaluate("e2e_nominal", "e2e", conditions="mine.yaml")
+        with pytest.raises(InputError, match=re.escape(str(caught.value))):
+            quadjax.evaluate("e2e_nominal", "e2e", conditions=read_conditions("mine.yaml"))
 
 
 def test_a_condition_changes_the_simulated_drone_only():

@@ -111,8 +111,9 @@ evaluate e2e --policy e2e --study spread --figures x | --figures effect --condit
 evaluate e2e --policy e2e --study protocols --deterministic | --deterministic effect
 evaluate e2e --policy e2e --conditions nosuch | current folder lists of conditions quadjax: damage
 evaluate e2e --policy e2e --conditions nocolumns.yaml | nocolumns.yaml: columns [] least 1 item
-evaluate e2e --policy e2e --conditions condition.yaml | condition a: vehicle.mismach mismatch
-evaluate e2e --policy e2e --conditions damage --only fog | --only 'fog' modeled
+evaluate e2e --policy e2e --conditions condition.yaml | condition.yaml: condition a: mismach
+evaluate e2e --policy e2e --conditions damage --only fog | damage: 'fog' modeled
+evaluate e2e --policy e2e --conditions spread --plant standin | plant hover
 evaluate e2e --policy e2e --only fog | --only --conditions
 evaluate e2e --policy e2e --plant standin --gates 5 | plant laps hover
 evaluate e2e --policy e2e --plants 3 --runs 4 | runs multiples (3)
@@ -123,7 +124,7 @@ evaluate --flights =a.npz | LABEL=FILE
 evaluate --flights notes.txt | .npz .csv
 evaluate --flights short.csv | short.csv format
 compare standin --parts tables | --parts
-compare standin --conditions calm | 'calm' effects
+compare standin --conditions calm | plants: 'calm' effects
 compare standin --parts table --conditions 'all effects' | --conditions effect
 compare standin --e2e indi | rate motor
 compare standin effects.wind=1 | effects.wind
