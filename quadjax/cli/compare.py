@@ -8,7 +8,6 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
-from quadjax.core.errors import InputError
 from quadjax.core.folders import results
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED
@@ -26,7 +25,7 @@ def compare(
     race: Annotated[str, Parameter(metavar="CONFIG")] = "e2e",
     parts: Annotated[list[Part] | None, opt.LIST] = None,
     conditions: Annotated[list[str] | None, opt.LIST, Parameter(metavar="NAME ...")] = None,
-    plants: Annotated[int, opt.whole(1, 1000)] = 10,
+    plants: opt.Plants = 10,
     laps: opt.Laps = 6,
     runs: opt.Runs = 100,
     sampled: opt.Flag = False,
@@ -56,6 +55,8 @@ def compare(
         sampled: Fly with the noise of training.
         seed: Seed of batteries, gusts and sensors.
     """
+    if not parts or "plants" in parts:
+        opt.check_shares(runs, plants)
     with loading():
         from quadjax import compare as comparison
         from quadjax.config.loading import load_config
@@ -66,8 +67,6 @@ def compare(
     chosen, folder = tuple(parts or comparison.PARTS), output / name
     if "plants" not in chosen:
         opt.refuse("without the part plants (--parts)", "conditions", "plants")
-    elif runs % plants:
-        raise InputError(f"--runs is {runs}, allowed: multiples of --plants ({plants})")
     plant, listed = load_plant_config(config, overrides), read_conditions("plants", conditions)
     policies, flown = {"E2E": e2e, "INDI": indi}, load_config(race)
     comparison.check_policies(policies)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 from quadjax.cli import options as opt
+from quadjax.cli.export import Ranges
 from quadjax.cli.output import note, steps, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json
@@ -33,7 +34,8 @@ Animation = Annotated[
 ]
 Listed = Annotated[
     str | None,
-    Parameter(
+    opt.config_of(
+        "conditions",
         name=("--conditions", "--study"),
         metavar="NAME",
         help=f"List of conditions: {', '.join(preset_names('conditions'))}, or a YAML file.",
@@ -56,15 +58,15 @@ def evaluate(
     seed: opt.Seed = 0,
     deterministic: opt.Flag = False,
     plant: opt.PlantConfig | None = None,
-    plants: opt.Count | None = None,
+    plants: opt.Plants | None = None,
     fixed_point: opt.Flag = False,
-    range_: Annotated[list[str] | None, Parameter(name="--range", metavar="FIELD=R")] = None,
+    range_: Ranges | None = None,
     body: Annotated[opt.Positive | None, Parameter(metavar="RADIUS")] = None,
     offsets: opt.Flag = False,
     format: Literal["text", "markdown", "latex"] | None = None,
     flights: Annotated[list[str] | None, Parameter(metavar="[LABEL=]FILE", group=RECORDED)] = None,
     logs: Annotated[opt.Logs, Parameter(group=RECORDED)] = opt.PLAIN_LOGS,
-    report: Annotated[Path, Parameter(metavar="DIR", group=RECORDED)] = Path("runs/report"),
+    report: Annotated[opt.Folder, Parameter(group=RECORDED)] = Path("runs/report"),
     overwrite: Annotated[opt.Overwrite, Parameter(group=RECORDED)] = False,
     json: opt.AnyFile = None,
     states: States = None,
@@ -122,19 +124,21 @@ def evaluate(
         figures: Draw the flight: trajectory.png, perspective.png and signals.png.
         animation: Animate the flight.
     """
-    with loading():
-        from quadjax.evaluation.evaluate import evaluate as fly
-        from quadjax.evaluation.evaluate import joined
-
     if flights is not None:
         opt.refuse_others("with --flights", "flights", "logs", "report", "overwrite")
         return _report(config or "e2e", overrides, flights, logs, report, overwrite)
     opt.refuse("without --flights", "logs", "report", "overwrite")
     opt.exclude("laps", "gates", "seconds")
+    opt.check_shares(runs, plants)
     if policy is None and config is not None:
         raise InputError("--policy is missing: the file of the policy, or a shipped one's name")
-    if range_ and not fixed_point:
-        raise InputError("--range is allowed only with --fixed-point")
+    if not fixed_point:
+        opt.refuse("without --fixed-point", "range_")
+    ranges = opt.by_name("--range", range_)
+    with loading():
+        from quadjax.evaluation.evaluate import evaluate as fly
+        from quadjax.evaluation.evaluate import joined
+
     files = list(policy or ()) or [PRETRAINED / f"{name}.npz" for name in policy_names()]
     listed = _listed("protocols" if conditions is None and len(files) > 1 else conditions, only)
     entries = [_entry(file, config, overrides) for file in files]
@@ -144,7 +148,7 @@ def evaluate(
         show("compiling and simulating")
         if listed is None:
             if fixed_point:
-                how["actor"] = _fixed_point(*entries[0][1], range_ or ())
+                how["actor"] = _fixed_point(*entries[0][1], ranges)
             flown = _modes(*entries[0], deterministic, how)
         else:
             how |= {"conditions": listed, "progress": show, "deterministic": deterministic or None}
@@ -192,16 +196,14 @@ def _entry(
     return str(path), (policy, race)
 
 
-def _fixed_point(policy: "Policy", race: "RaceConfig", ranges: Sequence[str]) -> "Actor":
+def _fixed_point(policy: "Policy", race: "RaceConfig", ranges: Mapping[str, float]) -> "Actor":
     """The arithmetic of C that is exported with ranges, as an actor."""
     from quadjax.config.assembly import race_of
     from quadjax.export.emulator import fixed_point_fly
-    from quadjax.export.ranges import parse_overrides, track_ranges
+    from quadjax.export.ranges import track_ranges
 
     _, params = race_of(race)
-    return fixed_point_fly(
-        policy, track_ranges(policy.layout, params.track) | parse_overrides(list(ranges))
-    )
+    return fixed_point_fly(policy, track_ranges(policy.layout, params.track) | dict(ranges))
 
 
 def _modes(

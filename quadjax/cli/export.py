@@ -8,10 +8,15 @@ from cyclopts import Parameter
 from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
 from quadjax.core.interruptions import loading
-from quadjax.export.names import check_new_folder, symbol_name
+from quadjax.export.names import POWER_OF_TWO, check_new_folder, is_range, symbol_name
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS
 
 Target = Annotated[str, Parameter(choices=tuple(TARGETS))]
+OF_RANGE = f"FIELD=R with R {POWER_OF_TWO}, such as position=16"
+Ranges = Annotated[
+    tuple[Annotated[str, opt.named_number(OF_RANGE, is_range)], ...],
+    Parameter(name="--range", metavar="FIELD=R"),
+]
 
 
 def export(
@@ -21,7 +26,7 @@ def export(
     output: opt.Folder,
     target: Target = DEFAULT_TARGET,
     name: str | None = None,
-    range_: Annotated[list[str] | None, Parameter(name="--range", metavar="FIELD=R")] = None,
+    range_: Ranges | None = None,
     track: Annotated[str | None, opt.config_of("tracks")] = None,
     race: Annotated[str | None, Parameter(name=["--race", "--config"], metavar="CONFIG")] = None,
     sample_rate: float | None = None,
@@ -55,16 +60,16 @@ def export(
         overwrite: Replace an earlier export; write to a folder that no export made, and
             replace its files of the same names.
     """
+    ranges = opt.by_name("--range", range_)
     check_new_folder(output, symbol_name(name, policy.name), overwrite)
     with loading():
         from quadjax.export.convert import export_c
-        from quadjax.export.ranges import parse_overrides
 
     result = export_c(
         policy,
         output,
         race,
-        parse_overrides(range_ or []),
+        ranges,
         name,
         track=track,
         sample_rate=sample_rate,

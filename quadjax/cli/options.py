@@ -19,8 +19,8 @@ from cyclopts import CoercionError, Group, Parameter, Token
 
 from quadjax.core.errors import InputError, writing
 from quadjax.core.files import check_file
-from quadjax.core.resources import policy_file, preset_names
-from quadjax.core.sections import FOLDER_NAME, MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
+from quadjax.core.resources import find_config, policy_file, preset_names
+from quadjax.core.sections import FOLDER_NAME, MAX_GATES, MAX_LAPS, MAX_PLANTS, MAX_RUNS, MAX_SEED
 
 if TYPE_CHECKING:
     from quadjax.fitting.config import LogsConfig
@@ -90,6 +90,51 @@ def number(low: float, high: float, kind: type = float, **named: Any) -> Paramet
 whole = functools.partial(number, kind=int)
 
 
+def named_number(
+    allowed: str, fits: Callable[[float], bool], names: Sequence[str] = (), **named: Any
+) -> Parameter:
+    """The parameter of a text ``NAME=NUMBER``; see ``by_name``.
+
+    Args:
+        allowed: text of what it may be, for messages.
+        fits: whether a number is allowed.
+        names: the allowed ones; any if empty.
+    """
+
+    def convert(text: str) -> str:
+        name, _, digits = text.partition("=")
+        try:
+            fitting = fits(float(digits))
+        except ValueError:
+            fitting = False
+        if not fitting or not name or (names and name not in names):
+            raise ValueError(f"{text!r}, allowed: {allowed}")
+        return text
+
+    return reads(convert, **named)
+
+
+def by_name(option: str, texts: Sequence[str] | None) -> dict[str, float]:
+    """The numbers of ``NAME=NUMBER`` texts of an option, by their names.
+
+    Raises:
+        InputError: a name that occurs twice.
+    """
+    numbers: dict[str, float] = {}
+    for text in texts or ():
+        name, _, digits = text.partition("=")
+        if name in numbers:
+            raise InputError(f"{option} {text}: {name} has two values, allowed: one")
+        numbers[name] = float(digits)
+    return numbers
+
+
+def check_shares(runs: int | None, plants: int | None) -> None:
+    """Raise an ``InputError`` unless a number of plants can share a number of runs equally."""
+    if runs and plants and runs % plants:
+        raise InputError(f"--runs is {runs}, allowed: multiples of --plants ({plants})")
+
+
 def path(allowed: str, convert: Callable[[str], Path] = Path, **named: Any) -> Parameter:
     """The parameter of a path, which is not empty; ``allowed`` is the text of what it may be."""
 
@@ -116,8 +161,13 @@ def _run_name(text: str) -> str:
 
 def config_of(folder: str, **named: Any) -> Parameter:
     """The parameter of a config in a folder of ``configs/``, whose help lists the names."""
+
+    def convert(text: str) -> str:
+        find_config(text, folder)
+        return text
+
     names = ", ".join(preset_names(folder))
-    return Parameter(help=f"A name ({names}) or a YAML file.", **named)
+    return reads(convert, **{"help": f"A name ({names}) or a YAML file."} | named)
 
 
 Flag = Annotated[bool, Parameter(show_default=False)]
@@ -152,6 +202,7 @@ Seed = Annotated[int, whole(0, MAX_SEED)]
 Laps = Annotated[int, whole(1, MAX_LAPS)]
 Gates = Annotated[int, whole(1, MAX_GATES)]
 Runs = Annotated[int, whole(1, MAX_RUNS)]
+Plants = Annotated[int, whole(1, MAX_PLANTS)]
 Count = Annotated[int, whole(1, 10**6)]
 Positive = Annotated[float, number(1e-6, 50.0)]
 LIST = Parameter(consume_multiple=True)  # values that follow one another; else the option repeats

@@ -15,7 +15,7 @@ from quadjax.core.interruptions import interruptions, loading
 from quadjax.core.resources import find_policy, policy_names
 from quadjax.export.names import KIND, report_of
 from quadjax.export.targets import DEFAULT_TARGET
-from quadjax.sil.faults import WRONG_UNITS, Faults, parse_nan
+from quadjax.sil.faults import FIELDS, WRONG_UNITS, Faults
 
 if TYPE_CHECKING:
     from quadjax.sil.run import Flown
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 STOPPING = b"\nstopping: a flight that has begun is saved; Ctrl-C again ends without saving\n"
 FAULTS = Group("Faults, of messages in either direction", sort_key=2)
 UNITS = tuple(WRONG_UNITS)
+OF_NAN = f"FIELD=P with P of 0 to 1 and FIELD one of {', '.join(FIELDS)}"
+Nan = Annotated[str, opt.named_number(OF_NAN, lambda p: 0.0 <= p <= 1.0, tuple(FIELDS))]
 
 
 def _address(text: str) -> tuple[str, int]:
@@ -54,7 +56,7 @@ def sil(
     late: Probability = 0.0,
     delay: Annotated[float, opt.number(0.0, 10_000.0, metavar="MS", group=FAULTS)] = 20.0,
     damage: Probability = 0.0,
-    nan: Annotated[list[str] | None, Parameter(metavar="FIELD=P", group=FAULTS)] = None,
+    nan: Annotated[tuple[Nan, ...] | None, Parameter(metavar="FIELD=P", group=FAULTS)] = None,
     wrong_unit: Annotated[list[str] | None, Parameter(choices=UNITS, group=FAULTS)] = None,
     view: opt.Flag = False,
     name: opt.RunName = "sil",
@@ -106,12 +108,12 @@ def sil(
         opt.refuse("without --late", "delay")
     if simulator and overrides:
         raise InputError(f"{overrides[0]} has no effect with --simulator")
+    nans, units = opt.by_name("--nan", nan), tuple(wrong_unit or ())
     with loading():
         from quadjax.plant.config import load_plant_config
         from quadjax.sil.fly import Timing
         from quadjax.sil.run import FILES, Setting, fly_all
 
-    nans, units = parse_nan(nan or []), tuple(wrong_unit or ())
     faults = Faults(drop, late, delay / 1000.0, damage, nans, units)
     drone = None if simulator else load_plant_config(plant, overrides)
     timing = Timing(speed, timeout)

@@ -25,6 +25,7 @@ from quadjax.core.errors import InputError, prefixed
 from quadjax.core.sections import (
     MAX_GATES,
     MAX_LAPS,
+    MAX_PLANTS,
     MAX_RUNS,
     MAX_SEED,
     Field,
@@ -142,7 +143,7 @@ class Conditions(Section):
     tracks: bool = Field(False, description="each flight is on another random track")
     speeds: bool = Field(False, description="record the speeds of the flights")
     plant: str | None = Field(None, description="config of the plant; null: the simulator")
-    plants: int = Field(1, ge=1, le=1000, description="drawn plants, which share the flights")
+    plants: int = Field(1, ge=1, le=MAX_PLANTS, description="drawn plants, which share the flights")
     conditions: tuple[Condition, ...] = Field(min_length=1, max_length=1000, description="list")
     _source: str = PrivateAttr("conditions")  # the file or the name, for messages
 

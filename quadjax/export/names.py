@@ -1,5 +1,6 @@
 """The names in an exported folder, and checks of names and folders that need no JAX."""
 
+import math
 import re
 from pathlib import Path
 
@@ -11,6 +12,8 @@ KIND = "export"
 POLICY_FILE, CONFIG_FILE, RESIDUAL_FILE = "policy.npz", "config.yaml", "residual.npz"
 REPORT = "_report.json"
 LONGEST_NAME = 31
+SMALLEST, LARGEST = 2.0**-20, 2.0**20  # half-widths of the inputs' ranges
+POWER_OF_TWO = "a power of two, 2^-20 to 2^20"
 RESERVED = re.compile(r"(qj|quadjax|neural_network|nn_controller|controller_quadjax)(_|$)")
 
 
@@ -36,6 +39,11 @@ def symbol_name(name: str | None, file: str) -> str:
     if RESERVED.match(name):
         raise InputError(f"--name {name!r}: files of the runtime have such names; choose another")
     return name
+
+
+def is_range(size: float) -> bool:
+    """Whether the half-width of an input's range is a power of two that the C can have."""
+    return SMALLEST <= size <= LARGEST and math.frexp(size)[0] == 0.5
 
 
 def check_new_folder(folder: Path, name: str, overwrite: bool) -> None:

@@ -6,13 +6,13 @@ import math
 import numpy as np
 
 from quadjax.core.errors import InputError
+from quadjax.export.names import POWER_OF_TWO, is_range
 from quadjax.policy.file import Policy
 from quadjax.race.layout import LAST_ACTION, Layout, split_name
 from quadjax.race.observations import AHEAD, CONSTANTS, DISTURBANCES, HIGHEST_RPM, fields_of
 from quadjax.race.track import Track, gates_ahead, unwrapped_turns
 from quadjax.vehicle.registry import MODELS
 
-SMALLEST, LARGEST = 2.0**-20, 2.0**20
 ROUNDING = 1.0 + 2.0**-20  # of a scaled input, in single precision; the C clips it to its range
 
 
@@ -111,11 +111,8 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
     ranges = {name: field.range for name, field in fields.items()} | spans
     ranges |= {name: ranges[split_name(name)[0]] for name in policy.layout.names}
     for name, value in ranges.items():
-        if not SMALLEST <= value <= LARGEST or math.frexp(value)[0] != 0.5:
-            raise InputError(
-                f"range {name}={value:g}: expected a power of two between 2^-20 and 2^20, "
-                "such as 8 or 0.5"
-            )
+        if not is_range(value):
+            raise InputError(f"range {name}={value:g}: allowed: {POWER_OF_TWO}, such as 8 or 0.5")
     exponents = {name: math.frexp(value)[1] - 1 for name, value in ranges.items()}
     scaled_fields = (model.actuators.name, *DISTURBANCES, LAST_ACTION, HIGHEST_RPM)
     return InputBox(policy.layout, exponents, scaled_fields)
@@ -148,23 +145,3 @@ def track_ranges(layout: Layout, track: Track) -> dict[str, float]:
         for name, size in needed.items()
         if name in layout and size > layout[name].range
     }
-
-
-def parse_overrides(options: list[str]) -> dict[str, float]:
-    """``["position=16", ..]`` as a mapping.
-
-    Raises:
-        InputError: an option that is not ``name=number``, or a name that occurs twice.
-    """
-    overrides: dict[str, float] = {}
-    for option in options:
-        name, _, value = option.partition("=")
-        if name in overrides:
-            raise InputError(f"range {option}: {name} has two ranges, expected one")
-        try:
-            overrides[name] = float(value)
-        except ValueError:
-            raise InputError(
-                f"range {option!r}: expected name=number, such as position=16"
-            ) from None
-    return overrides

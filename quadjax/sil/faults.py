@@ -11,7 +11,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from quadjax.core.errors import InputError
 from quadjax.sil.message import DTYPES, RPM_PER_RAD_S, Kind, pack
 
 DEGREES = 180.0 / math.pi
@@ -52,28 +51,6 @@ class Faults:
     def __bool__(self) -> bool:
         """Whether any fault can occur."""
         return bool(self.drop or self.late or self.damage or any(self.nan.values()) or self.units)
-
-
-def parse_nan(texts: list[str]) -> dict[str, float]:
-    """Probabilities of ``FIELD=P`` texts.
-
-    Raises:
-        InputError: no such field, a field that occurs twice, or no probability.
-    """
-    probabilities: dict[str, float] = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        if name not in FIELDS:
-            raise InputError(f"--nan {text}: allowed fields: {', '.join(FIELDS)}")
-        if name in probabilities:
-            raise InputError(f"--nan {text}: {name} has two probabilities, expected one")
-        try:
-            probabilities[name] = float(value)
-        except ValueError:
-            probabilities[name] = math.nan
-        if not 0.0 <= probabilities[name] <= 1.0:
-            raise InputError(f"--nan {text}: expected FIELD=P with a probability from 0 to 1")
-    return probabilities
 
 
 @dataclasses.dataclass(frozen=True)

@@ -60,15 +60,35 @@ def test_a_script_of_the_benchmarks_is_short_and_has_help(script, capsys):
         assert "Usage:" in capsys.readouterr().out
 
 
-def test_the_help_of_quadjax_imports_no_jax():
-    code = "import sys, quadjax.cli; quadjax.cli.run(['--help']); print('jax' in sys.modules)"
+IN_THE_TYPE = """
+evaluate e2e --policy e2e --plants 1001
+evaluate e2e --policy e2e --plants 3 --runs 4
+evaluate e2e --policy e2e --body 0
+evaluate e2e --policy e2e --range position=8
+evaluate e2e --policy e2e --fixed-point --range position=3
+evaluate e2e --policy e2e --conditions nosuch
+compare standin --runs 25
+compare nosuch
+export e2e --output out --range position
+export e2e --output out --range a=1 --range a=2
+sil e2e --nan height=0.1
+sil e2e --nan position=2
+sil e2e --nan position=0.1 --nan position=0.2
+--help
+""".strip().splitlines()
+
+
+def test_the_help_and_the_check_of_an_option_import_no_jax():
+    code = f"import sys, quadjax.cli; print([quadjax.cli.run(x.split()) for x in {IN_THE_TYPE}])"
+    code += "; print('jax' in sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
-    assert done.stdout.endswith("False\n")
+    assert done.stdout.endswith(f"{[2] * (len(IN_THE_TYPE) - 1) + [0]}\nFalse\n"), done.stderr
+    assert done.stderr.count("error: ") == done.stderr.count("\n") == len(IN_THE_TYPE) - 1
 
 
 @pytest.mark.parametrize("script", sorted((ROOT / "scripts").glob("*.py")), ids=lambda p: p.stem)

@@ -15,7 +15,7 @@ from quadjax.export.emulator import fixed_point_actor, fixed_point_fly
 from quadjax.export.integers import ONE, quantize
 from quadjax.export.network import LARGEST_HIDDEN, convert
 from quadjax.export.proof import error_bound, prove
-from quadjax.export.ranges import declare, parse_overrides
+from quadjax.export.ranges import declare
 from quadjax.export.report import float64_commands
 from quadjax.race.layout import Observation
 from quadjax.race.observations import make_layout
@@ -146,6 +146,6 @@ def test_a_neuron_that_is_never_active_costs_nothing():
 
 def test_ranges_are_declared():
     policy, _ = made("e2e")
-    assert declare(policy, parse_overrides(["velocity=32", "position=8"])).ranges[4] == 32.0
+    assert declare(policy, {"velocity": 32.0, "position": 8.0}).ranges[4] == 32.0
     layout = make_layout(MODEL, Observation(wrap_next_yaw=False))
     assert declare(dataclasses.replace(policy, layout=layout)).ranges[19] == 8.0

@@ -5,9 +5,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from quadjax.core.errors import InputError
 from quadjax.export.verify.toolchain import host
-from quadjax.sil.faults import Channel, Faults, parse_nan
+from quadjax.sil.faults import Channel, Faults
 from quadjax.sil.message import DTYPES, HEADER, Kind, MessageError, new, pack, unpack
 from quadjax.sil.source import header_text
 
@@ -84,11 +83,3 @@ def test_wrong_units_and_nan_change_the_states_alone():
     assert np.isfinite(original["position_ned_m"]).all() and faults and not Faults()
     channel.push(new(Kind.COMMAND), 0.0)
     assert np.isfinite(unpack(channel.due(0.0)[0].data)["command"]).all()
-
-
-def test_a_wrong_nan_option_is_one_line():
-    for text in ("height=0.1", "position", "position=2", "position=nan"):
-        with pytest.raises(InputError, match=r"--nan"):
-            parse_nan([text])
-    with pytest.raises(InputError, match="position has two"):
-        parse_nan(["position=0.1", "velocity=0.1", "position=0.2"])

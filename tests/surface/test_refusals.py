@@ -205,7 +205,7 @@ export e2e --output out --range nosuch=4 | nosuch
 export e2e --output out --range position=-1 | position
 export e2e --output out --range velocity=3 | velocity power two
 export e2e --output out --range velocity=nan | velocity power two
-export e2e --output out --range velocity | velocity number
+export e2e --output out --range velocity | velocity power two
 export e2e --output out --range velocity=32 --range velocity=16 | velocity two
 export e2e --output out --name qj | runtime names
 export e2e --output out --name quadjax_policy | runtime names
