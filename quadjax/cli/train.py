@@ -8,7 +8,7 @@ from cyclopts import Group, Parameter
 
 from quadjax.cli import STARTED
 from quadjax.cli import options as opt
-from quadjax.cli.output import command_again, steps, wrote
+from quadjax.cli.output import command_again, note, steps, wrote
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
 
@@ -59,6 +59,7 @@ def train(
         from quadjax.training import run
         from quadjax.training.fine_tuning import check_policy, fine_tuning
         from quadjax.training.folder import check_started
+        from quadjax.training.result import is_finished
 
     opt.exclude("overwrite", "resume")
     named = [*overrides, *([f"name={name}"] if name else [])]
@@ -83,6 +84,7 @@ def train(
     folder = output / settings.name
     if resume and name:
         check_started(folder)
+    finished = resume and is_finished(folder)
     try:
         done = run.train(settings, folder, resume=resume, overwrite=overwrite, started=STARTED)
     except NonFiniteError as error:
@@ -91,6 +93,9 @@ def train(
     if not done.finished:
         print(f"Stopped and saved. Continue with: {command_again(more='--resume')}")
         return INTERRUPTED
+    if finished:
+        ended = f"the run is finished ({done.summary['steps']:,} steps)"
+        note(f"{folder}: {ended}; --overwrite trains again")
     with steps() as report:
         report("timing laps and drawing")
         text = write_evaluation(done)

@@ -80,6 +80,9 @@ def test_a_folder_of_a_run_is_resumed_or_replaced_only_if_asked(
     assert "--resume" in capfd.readouterr().err
     assert run(*command, "seed=1", "--resume") == 2
     assert "seed" in capfd.readouterr().err
+    assert run(*command, "--resume") == 0
+    again = "the run is finished (512 steps); --overwrite trains again"
+    assert f"runs/trained: {again}" in capfd.readouterr().err
     assert run(*command, "seed=1", "vehicle.constants.tau=0.4", "--overwrite") == 0
     assert "warning: Parrot Bebop 1: tau 0.4 s: typical values" in capfd.readouterr().err
     assert not same(trained, folder)
