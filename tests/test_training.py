@@ -59,7 +59,7 @@ def interrupted():
         ("e2e +fastest", ("schedules.reward.gate_edge.by=pass_rate",)),
     ],
 )
-def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name, keys):
+def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, capsys, name, keys):
     """Nothing is compiled after the first chunk."""
     monkeypatch.setattr(training.parallel, "core_count", lambda: 2)  # also where there is but one
     config = config_of(name, *keys)
@@ -68,7 +68,9 @@ def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name,
         lambda event, *_, **__: event.endswith("backend_compile_duration") and compiled.append(1)
     )
     count = lambda row: after_chunk.append(len(compiled))  # noqa: E731
+    monkeypatch.setattr("quadjax.training.progress.LOG_SECONDS", 0.0)
     whole = training.train(config, tmp_path / "whole", enough=count)
+    assert f"{config.name}: compiling, " in capsys.readouterr().err
     assert whole.finished
     assert len(after_chunk) == 4 and after_chunk[0] > 0
     assert after_chunk[1:] == after_chunk[:1] * 3

@@ -36,10 +36,11 @@ class TrainingProgress:
         )
         short = name if len(name) <= MAX_NAME else f"{name[: MAX_NAME - 1]}…"
         self._task = self._bar.add_task(short, total=total_steps, status="compiling")
-        self._logged = -math.inf
+        self._began, self._logged = math.inf, -math.inf  # s, of the clock
 
     def __enter__(self) -> Self:
         """Start showing."""
+        self._began = time.monotonic()
         if self._console.is_terminal:
             self._bar.start()
         else:
@@ -50,6 +51,16 @@ class TrainingProgress:
         """Stop showing."""
         if self._console.is_terminal:
             self._bar.stop()
+
+    def compiling(self) -> None:
+        """Show for how long the programs have been compiled; to be called again and again."""
+        now = time.monotonic()
+        status = f"compiling, {now - self._began:.0f} s"
+        if self._console.is_terminal:
+            self._bar.update(self._task, status=status)
+        elif now - max(self._began, self._logged) >= LOG_SECONDS:
+            self._logged = now
+            self.note(f"{self._name}: {status}")
 
     def show(self, row: Row) -> None:
         """Show one row of metrics."""

@@ -216,13 +216,15 @@ def _compile(
         updates = job.plan.updates_per_chunk
         chunk = pool.submit(parallel.compile_chunk, learner, mesh, updates, params, job.shapes)
         warned = [pool.submit(warn, display)] if display is not None else []
-        _wait_for((chunk, warm_up, *warned), stop)
+        _wait_for((chunk, warm_up, *warned), stop, display)
         return chunk.result(), first.result()
     finally:
         pool.shutdown(wait=False)
 
 
-def _wait_for(futures: Sequence[Future], stop: threading.Event) -> None:
+def _wait_for(
+    futures: Sequence[Future], stop: threading.Event, display: TrainingProgress | None
+) -> None:
     """Wait until all are done, or one has failed; ``KeyboardInterrupt`` if ``stop`` is set."""
     left = PATIENCE
     while True:
@@ -231,6 +233,8 @@ def _wait_for(futures: Sequence[Future], stop: threading.Event) -> None:
             future.result()
         if not running:
             return
+        if display is not None:
+            display.compiling()
         left -= POLL * stop.is_set()
         if left < 0:
             raise KeyboardInterrupt

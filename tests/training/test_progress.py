@@ -10,7 +10,7 @@ from rich.console import Console
 from quadjax.learners.loop import Progress
 from quadjax.race.laps import OUT_OF_TIME, Laps
 from quadjax.race.rules import TERMINATIONS
-from quadjax.training import score
+from quadjax.training import progress, score
 from quadjax.training.checkpoint import RunState
 from quadjax.training.progress import TrainingProgress, describe
 from quadjax.training.score import CHANGES, no_lap
@@ -30,9 +30,9 @@ ROW = {
 def printed(name, row, note=""):
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=True, width=80, color_system=None)
-    with TrainingProgress(20_000_000, name, console) as progress:
-        progress.show(row)
-        progress.note(note)
+    with TrainingProgress(20_000_000, name, console) as display:
+        display.show(row)
+        display.note(note)
     return stream.getvalue()
 
 
@@ -45,6 +45,21 @@ def test_bar_percentage_time_and_laps_fit_in_80_columns():
             assert "━" in line and "…" not in line.replace(name[:15] + "…", "")
             assert ("reward 0.123  crashes 40%" if laps > 1000 else f"laps {laps:.2f} s") in line
     assert "laps - s, best 15.70" in describe(ROW | {"lap_total": float("inf")})
+
+
+def test_a_compilation_shows_its_seconds(monkeypatch, capsys):
+    """On a terminal all of them, elsewhere in a line every ten seconds."""
+    for terminal in (True, False):
+        now, stream = [100.0], io.StringIO()
+        monkeypatch.setattr(progress.time, "monotonic", lambda now=now: now[0])
+        console = Console(file=stream, force_terminal=terminal, width=80, color_system=None)
+        with TrainingProgress(1000, "run", console) as display:
+            for seconds in (0, 9, 11, 20, 21.4):
+                now[0] = 100.0 + seconds
+                display.compiling()
+        assert ("compiling, 21 s" in stream.getvalue()) == terminal
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["run: compiling", "run: compiling, 11 s", "run: compiling, 21 s"]
 
 
 def test_without_a_lap_it_says_what_ended_the_flights_and_what_to_change():
@@ -81,8 +96,7 @@ def test_the_best_policy_is_the_latest_of_equal_scores():
     found, kept = RunState(state=None, best="none"), []
     for chunk, total in enumerate([np.inf, 15.0, 14.0, 14.0, 16.0, np.inf]):
         state = types.SimpleNamespace(evaluated=str(chunk))
-        progress = Progress(state, 100 * (chunk + 1), {}, 1.0)
-        found = found.after(progress, total, 1.0)
+        found = found.after(Progress(state, 100 * (chunk + 1), {}, 1.0), total, 1.0)
         kept.append((found.best, found.best_score, found.best_steps))
     assert kept[:3] == [("0", np.inf, 100), ("1", 15.0, 200), ("2", 14.0, 300)]
     assert kept[3:] == [("3", 14.0, 400)] * 3
