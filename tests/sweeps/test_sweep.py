@@ -59,7 +59,7 @@ objective: {runs: 1000000000} | objective.runs
 objective: {runs: 10, plant: standin, plants: 3} | objective.runs 10 multiples (3)
 objective: {plant: stanndin} | stanndin
 config: none.yaml | config none.yaml file
-storage: study.db | storage journal URL
+storage: study.db | storage 'study.db' journal URL
 name: a/b | name a/b
 overrides: {ppo.klip: 1} | ppo
 search: {method: grid} | learner.learning_rate choices, step or points
