@@ -71,6 +71,8 @@ compare standin --runs 25
 compare nosuch
 export e2e --output out --range position
 export e2e --output out --range a=1 --range a=2
+export e2e --output out --sample-rate 0
+export e2e --output out --cutoff nan
 sil e2e --nan height=0.1
 sil e2e --nan position=2
 sil e2e --nan position=0.1 --nan position=0.2
