@@ -2,15 +2,17 @@
 
 import contextvars
 import os
+import re
 import shlex
-import time
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
 
-SECONDS = 5.0  # between lines where there is no terminal
+SECONDS = 5.0  # of a step that prints a line where there is no terminal
+NUMBER = re.compile(r"(: )?\d[\d.]*( s\b.*)?$")  # at the end of a step's text
 ARGUMENTS: contextvars.ContextVar[Sequence[str]] = contextvars.ContextVar("ARGUMENTS", default=())
 
 
@@ -23,7 +25,8 @@ def stderr() -> Console:
 def steps(console: Console | None = None) -> Iterator[Callable[[str], None]]:
     """Yield a function that shows the present step of a command until the block ends.
 
-    A terminal has one line that changes. Elsewhere it prints lines, at most one in ``SECONDS``.
+    A terminal has one line that changes. Elsewhere a step that takes ``SECONDS`` prints one line.
+    Texts that differ in a number at the end, as of seconds, are of one step.
 
     Args:
         console: that of stderr if not given.
@@ -33,15 +36,31 @@ def steps(console: Console | None = None) -> Iterator[Callable[[str], None]]:
         with console.status("starting") as status:
             yield status.update
         return
-    printed = -SECONDS
+    lines = _Lines(console)
+    try:
+        yield lines.report
+    finally:
+        lines.timer.cancel()
 
-    def report(text: str) -> None:
-        nonlocal printed
-        if time.monotonic() - printed >= SECONDS:
-            printed = time.monotonic()
-            console.print(text, highlight=False, markup=False, soft_wrap=True)
 
-    yield report
+class _Lines:
+    """Prints the text of a step that has taken ``SECONDS``."""
+
+    def __init__(self, console: Console) -> None:
+        self._console, self._step, self._text = console, "", ""
+        self.timer = threading.Timer(SECONDS, self._print)
+
+    def report(self, text: str) -> None:
+        step, self._text = NUMBER.sub("", text), text
+        if step != self._step:
+            self._step = step
+            self.timer.cancel()
+            self.timer = threading.Timer(SECONDS, self._print)
+            self.timer.daemon = True
+            self.timer.start()
+
+    def _print(self) -> None:
+        self._console.print(self._text, highlight=False, markup=False, soft_wrap=True)
 
 
 def note(text: str) -> None:

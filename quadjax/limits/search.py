@@ -136,6 +136,7 @@ class Search:
             return Solution(mesh, False, "no time")
         best = "" if self.best is None else f", best {self.best.total:.4f} s"
         text = f"{name}, {mesh.intervals} intervals a leg{best}"
+        self.report(text)
         report = lambda value: self.report(f"{text}: {value:.4f} s")  # noqa: E731
         return solve(self.problem, self.dynamics, mesh, settings, self.stop, report)
 

@@ -2,6 +2,8 @@
 
 import io
 import os
+import re
+import time
 from pathlib import Path
 
 import pytest
@@ -106,15 +108,21 @@ def test_a_command_of_a_notebook_has_no_terminal(monkeypatch):
     assert not output.stderr().is_terminal
 
 
-def test_the_steps_of_a_command_are_lines_where_there_is_no_terminal(monkeypatch):
-    now = [100.0]
-    monkeypatch.setattr(output.time, "monotonic", lambda: now[0])
+def test_a_long_step_of_a_command_is_one_line_where_there_is_no_terminal(monkeypatch):
+    monkeypatch.setattr(output, "SECONDS", 0.2)
     text = io.StringIO()
     with output.steps(Console(file=text)) as report:
-        for wait, line in ((0.0, "compiling"), (1.0, "too soon"), (4.5, "3 s flown")):
-            now[0] += wait
-            report(line)
-    assert text.getvalue() == "compiling\n3 s flown\n"
+        report("building")
+        report("run 1")
+        for seconds in range(4):
+            report(f"run 1: {seconds} s flown")
+            time.sleep(0.15)
+        report("frame 1")
+        report("frame 2")
+        time.sleep(0.4)
+        report("drawing")
+    time.sleep(0.4)
+    assert re.fullmatch(r"run 1: [12] s flown\nframe 2\n", text.getvalue())
 
 
 def test_view_says_what_it_simulates(tmp_path, capsys, monkeypatch):

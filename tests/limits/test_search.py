@@ -63,15 +63,17 @@ def test_a_search_that_finds_nothing_exits_with_1_and_keeps_the_last_solution(
 
 @pytest.mark.slow
 def test_ctrl_c_keeps_the_best_flight_and_other_commands_are_refused(capfd):
-    stop = threading.Event()
+    stop, texts = threading.Event(), []
 
     def report(text):
+        texts.append(text)
         if search.best is not None:
             stop.set()
 
     problem = _problem()
     search = Search(problem, stop=stop, report=report)
     best = search.run(starts=2)
+    assert texts[0] == "spline 1, 10 intervals a leg"  # before the first iteration
     assert best.total <= 2.65 and best.check.error == "" and best.check.clearance >= 0.0
     assert "User_Requested_Stop" in best.attempts["spline 1"]
     assert len(best.attempts) == 1 and "InternalOptiCallback" not in capfd.readouterr().err
