@@ -250,7 +250,7 @@ def _write(
             save_figure(figure, figures / f"{name}.png")
     if animation is not None:
         frames = itertools.count(1)
-        evaluation.animate(animation, lambda: report(f"animation, frame {next(frames)}"))
+        evaluation.animate(animation, lambda: report(f"animation: {next(frames)} frames"))
     if json is not None:
         write_json(json, evaluation.to_json())
 

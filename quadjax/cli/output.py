@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 SECONDS = 5.0  # of a step that prints a line where there is no terminal
-NUMBER = re.compile(r"(: )?\d[\d.]*( s\b.*)?$")  # at the end of a step's text
+AMOUNT = re.compile(r": [\d.]+ (s|frames)\b.*$")  # at the end of a step's text
 ARGUMENTS: contextvars.ContextVar[Sequence[str]] = contextvars.ContextVar("ARGUMENTS", default=())
 
 
@@ -26,7 +26,7 @@ def steps(console: Console | None = None) -> Iterator[Callable[[str], None]]:
     """Yield a function that shows the present step of a command until the block ends.
 
     A terminal has one line that changes. Elsewhere a step that takes ``SECONDS`` prints one line.
-    Texts that differ in a number at the end, as of seconds, are of one step.
+    Texts that differ in an amount at the end, as in ``run 1: 3 s flown``, are of one step.
 
     Args:
         console: that of stderr if not given.
@@ -51,7 +51,7 @@ class _Lines:
         self.timer = threading.Timer(SECONDS, self._print)
 
     def report(self, text: str) -> None:
-        step, self._text = NUMBER.sub("", text), text
+        step, self._text = AMOUNT.sub("", text), text
         if step != self._step:
             self._step = step
             self.timer.cancel()
