@@ -62,6 +62,7 @@ def _read_report(path: Path) -> tuple[Options, str, str, str]:
         find_target(options.target)
         text, config_hash = report_text(report, options.name), str(report["config_sha256"])
     except Exception as error:  # of any type, because the values can be anything
-        raise InputError(f"{path}: not a report of quadjax export ({error!r:.200})") from error
+        fault = f"{error} is missing" if isinstance(error, KeyError) else f"{error!r:.200}"
+        raise InputError(f"{path}: not a report of quadjax export ({fault})") from error
     options = dataclasses.replace(options, ranges=ranges, sample_rate=rate, cutoff=cutoff)
     return options, file, text, config_hash

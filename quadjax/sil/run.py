@@ -107,17 +107,14 @@ class Flown:
 
     def text(self) -> str:
         """The lap table, the reasons for early ends, and the counts with their meanings."""
-        speed = self.setting.timing.speed
+        speed, counts = self.setting.timing.speed, self.counts
         how = "lock-step" if speed is None else f"{speed:g} times real time"
         label = f"{self.autopilot}, {counted(len(self.races), 'run')}"
         lines = [
             lap_table([Row(label, self.laps)]).format(),
             f"C that flies: {self.sources}" if self.sources else "",
-            f"drone: {self.drone}, {how}",
-            *(
-                f"{name}: {number:,}{MEANINGS.get(name, '')}"
-                for name, number in self.counts.items()
-            ),
+            f"drone: {self.drone}, {how}, {counts.pop('steps', 0):,} steps",
+            *(f"{name}: {number:,}{MEANINGS.get(name, '')}" for name, number in counts.items()),
         ]
         return "\n".join(line for line in lines if line)
 

@@ -4,6 +4,7 @@ import contextlib
 import ctypes
 import dataclasses
 import json
+import re
 import subprocess
 import sys
 import threading
@@ -126,7 +127,10 @@ def test_lock_step_has_the_bits_of_the_same_c_in_this_process(
 def test_a_shipped_policy_flies_with_one_command(tmp_path, monkeypatch, capsys, short_races):
     monkeypatch.chdir(tmp_path)
     assert run("sil", "indi_shac", "--laps", 1) == 0
-    printed = capsys.readouterr().out
+    printed, errors = capsys.readouterr()
+    assert len(printed.splitlines()) == 8 and re.search(r"drone: .*, [\d,]+ steps\n", printed)
+    begun = [line.partition(":")[0] for line in errors.splitlines()]
+    assert len(begun) == len(set(begun)) and begun[-1] == "wrote runs/sil/"
     assert "C that flies: indi_shac.qjp, paparazzi/" in printed and "glue of Paparazzi" in printed
     following = "Next: quadjax view runs/sil/states.npz\nThen: quadjax export indi_shac --target "
     assert following in printed
