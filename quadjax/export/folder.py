@@ -8,6 +8,7 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, read_json
 from quadjax.export.conversion import Converted, Options, convert_policy, sha256
+from quadjax.export.disturbances import check_cutoff
 from quadjax.export.names import CONFIG_FILE, POLICY_FILE, report_of, symbol_name
 from quadjax.export.race_source import policy_race
 from quadjax.export.read import read_qjp
@@ -58,11 +59,13 @@ def _read_report(path: Path) -> tuple[Options, str, str, str]:
         options, file = Options(**report["options"]), str(report["policy"])
         ranges = {str(name): float(value) for name, value in options.ranges.items()}
         rate, cutoff = float(options.sample_rate), float(options.cutoff)
+        check_cutoff(rate, cutoff)
         symbol_name(options.name, file)
         find_target(options.target)
         text, config_hash = report_text(report, options.name), str(report["config_sha256"])
     except Exception as error:  # of any type, because the values can be anything
-        fault = f"{error} is missing" if isinstance(error, KeyError) else f"{error!r:.200}"
-        raise InputError(f"{path}: not a report of quadjax export ({fault})") from error
+        fault = str(error) if isinstance(error, InputError) else repr(error)
+        fault = f"{error} is missing" if isinstance(error, KeyError) else fault
+        raise InputError(f"{path}: not a report of quadjax export ({fault:.200})") from error
     options = dataclasses.replace(options, ranges=ranges, sample_rate=rate, cutoff=cutoff)
     return options, file, text, config_hash

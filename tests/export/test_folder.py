@@ -177,6 +177,19 @@ def test_a_damaged_file_is_one_line_and_nothing_is_compiled(copied, monkeypatch,
         run.verify(copied, COUNT)
 
 
+WRONG = {"sample_rate": 0, "cutoff": 1e9, "target": "avr", "name": "../made", "ranges": [1]}
+
+
+def test_a_report_with_a_wrong_option_is_one_line(copied):
+    report = json.loads((copied / "made_report.json").read_text())
+    changed = [{**report, "options": {**report["options"], name: x}} for name, x in WRONG.items()]
+    for damaged in (*changed, {"options": report["options"]}):
+        (copied / "made_report.json").write_text(json.dumps(damaged))
+        fault = "'policy' is missing" if "policy" not in damaged else ""
+        with pytest.raises(InputError, match=f"made_report.json: not a report .*{fault}"):
+            read_folder(copied)
+
+
 def test_folders_of_other_kinds_are_refused(exported, tmp_path):
     with pytest.raises(InputError, match="report.json"):
         read_folder(tmp_path)
