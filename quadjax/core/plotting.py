@@ -54,8 +54,9 @@ def head(axes: Axes, title: str = "", columns: int = 4) -> None:
     """
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        width = 0.6 + 0.07 * max(map(len, labels))  # inches
-        columns = min(columns, max(1, int(axes.get_figure(root=True).get_figwidth() / width)))
+        widest = 0.6 + 0.07 * max(map(len, labels))  # inches
+        width = axes.figure.bbox.width / axes.figure.dpi
+        columns = min(columns, max(1, int(width / widest)))
         place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.01, 0.99)}
         style: dict[str, Any] = {
             "frameon": False,
