@@ -40,6 +40,14 @@ class Range(Section):
             raise ValueError(f"expected one of choices, range and log, found {len(ways)}")
         if self.step and (self.range is None or self.points):
             raise ValueError(f"step is {self.step:g}, allowed: with range, without points")
+        low, high = self.range or self.log or (0.0, 0.0)
+        if low > high or (self.log and low <= 0):
+            above = " above 0" if self.log else ""
+            raise ValueError(f"{ways[0]} is {[low, high]}, allowed: [lowest, highest]{above}")
+        count = (high - low) / (self.step or 1.0)
+        if self.step and (round(count) < 1 or abs(count - round(count)) > 1e-6):
+            allowed = f"a whole fraction of the range {[low, high]}"
+            raise ValueError(f"step is {self.step:g}, allowed: {allowed}")
         return self
 
     def distribution(self, base: object) -> Distribution:

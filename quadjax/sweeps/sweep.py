@@ -12,7 +12,7 @@ from optuna.distributions import CategoricalDistribution, IntDistribution
 
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
-from quadjax.core.errors import InputError, prefixed
+from quadjax.core.errors import InputError, prefixed, short
 from quadjax.core.resources import find_file
 from quadjax.core.sections import validate, value_at
 from quadjax.core.yaml_files import (
@@ -24,7 +24,15 @@ from quadjax.core.yaml_files import (
     read_yaml,
 )
 from quadjax.plant.config import load_plant_config
-from quadjax.sweeps.schema import ENTRIES, MAX_TRIALS, Distribution, SweepFile, Value, stored
+from quadjax.sweeps.schema import (
+    ENTRIES,
+    MAX_TRIALS,
+    WAYS,
+    Distribution,
+    SweepFile,
+    Value,
+    stored,
+)
 
 TRIALS = 20  # of a sweep without a budget
 COMBINATIONS = 64  # of the space's ends that are all checked
@@ -127,9 +135,13 @@ def load_sweep(path: Path | str, changes: Sequence[str] = ()) -> Sweep:
     """
     path = Path(path)
     layers: list[Layer] = [(path, read_yaml(path)), ("overrides", parse_overrides(changes))]
-    for _, tree in layers:
+    for source, tree in layers:
         if isinstance(tree.get("space"), dict):
             tree["space"] = flatten(tree["space"], ENTRIES)
+            for key, value in tree["space"].items():
+                if not isinstance(value, dict):
+                    allowed = f"a mapping with one of {', '.join(WAYS)}"
+                    raise InputError(f"{source}: space.{key} is {short(value)}, allowed: {allowed}")
     file = validate(SweepFile, *merge_layers(layers, path))
     with prefixed(str(path)):
         name, *parts = file.config.split(" +")
