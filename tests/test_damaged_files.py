@@ -1,5 +1,7 @@
 """Files damaged at random: each is read, or refused in one line. Nothing else is raised."""
 
+import builtins
+import errno
 import json
 import os
 from pathlib import Path
@@ -122,6 +124,18 @@ def whole(tmp_path_factory):
         KINDS[kind][2](path)
         contents[kind] = path.read_bytes()
     return contents
+
+
+@pytest.mark.parametrize("kind", ["policy", "residual", "state dict"])
+def test_a_file_without_permission_is_not_called_damaged(kind, tmp_path, whole, monkeypatch):
+    def refused(*arguments, **options):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    path = tmp_path / f"file{KINDS[kind][0]}"
+    path.write_bytes(whole[kind])
+    monkeypatch.setattr(builtins, "open", refused)
+    with pytest.raises(InputError, match=r"file\..*: cannot be read \(Permission denied\)"):
+        KINDS[kind][2](path)
 
 
 @pytest.mark.parametrize("kind", KINDS)

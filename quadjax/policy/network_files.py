@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.core.files import check_file, read_layers, read_text
+from quadjax.core.files import is_zip, read_layers, read_text
 
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]  # (kernel (in, out), bias (out,)) of each
 Arrays = Mapping[str, np.ndarray]
@@ -157,8 +157,7 @@ def read_state_dict(path: Path | str, member: str | None = None) -> dict[str, np
         InputError: a missing or damaged file, the legacy format, a file that holds other objects
             than tensors by name, or anything that would have to be executed; in one line.
     """
-    check_file(path)
-    if not zipfile.is_zipfile(path):
+    if not is_zip(path):
         raise InputError(
             f"{path}: not a zip archive, perhaps in the legacy format of PyTorch: load it and save "
             "it again with torch.save"
