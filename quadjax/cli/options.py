@@ -147,9 +147,14 @@ def path(allowed: str, convert: Callable[[str], Path] = Path, **named: Any) -> P
 
 
 def _folder(text: str) -> Path:
-    if Path(text).is_file():
-        raise ValueError(f"{text} is a file, allowed: a folder")
-    return Path(text)
+    """A folder to write to, whose nearest folder that exists can be written."""
+    folder = Path(text)
+    nearest = next(path for path in (folder, *folder.parents) if path.exists())
+    if nearest.is_file():
+        raise ValueError(f"{nearest} is a file, allowed: a folder")
+    if not os.access(nearest, os.W_OK):
+        raise ValueError(f"{text}: no permission in {nearest}, allowed: a folder to write to")
+    return folder
 
 
 def _run_name(text: str) -> str:
