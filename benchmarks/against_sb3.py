@@ -2,7 +2,7 @@
 
 Both have the published hyperparameters, the same environment and one seed, and are evaluated after
 every update. The time of a side counts from the start of its process. Laps are of the mean action
-of the best policy, from hover, which ``output`` keeps. Numbers: docs/design/results.md.
+of the best policy, from hover. ``output`` gets the policies. Numbers: docs/design/results.md.
 
     python -m benchmarks.against_sb3 e2e_paper --seconds 900 --steps 2500000
 """
@@ -97,13 +97,13 @@ def against_sb3(
 ) -> None:
     """Train a preset of PPO by each side, and print a table."""
     learner = quadjax.load(preset, changes).learner
-    every = f"run.evaluate_every={learner.num_envs * learner.rollout_length}"
-    config = quadjax.load(preset, [*changes, every])
+    interval = f"run.evaluate_every={learner.num_envs * learner.rollout_length}"
+    config = quadjax.load(preset, [*changes, interval])
     print("| side | steps/s | M steps | wall s | CPU s | laps |\n|---|---|---|---|---|---|")
     for side in sides:
         with multiprocessing.get_context("spawn").Pool(1) as pool:
-            words = side, config, seconds, steps, time.monotonic(), output / side
-            print(pool.apply(train_side, words), flush=True)
+            arguments = side, config, seconds, steps, time.monotonic(), output / side
+            print(pool.apply(train_side, arguments), flush=True)
 
 
 if __name__ == "__main__":

@@ -91,9 +91,9 @@ class Drone:
     def tune(self, seed: int) -> str:
         """The contender with the limit of INDI that is fastest where every flight finishes.
 
-        Limits are tried from the mean thrust in the logs of INDI, rounded, in steps of 1 m/s^2:
-        with seed 0 all above it. Other seeds have two of them: the fastest of seed 0, and the
-        fastest before the first with crashes.
+        The limits of seed 0 are the mean thrust in the logs of INDI, rounded, and all above it in
+        steps of 1 m/s^2; lower ones until every flight finishes. Other seeds have two of these
+        limits: the fastest of seed 0, and the fastest before the first with crashes.
         """
         self.identify()
         first = round(logged_thrust(self.folder / "logs"))

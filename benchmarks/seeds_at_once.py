@@ -1,8 +1,8 @@
-"""Train several seeds of a preset in one program, which a GPU computes about as fast as one seed.
+"""Train several seeds of a preset in one program, for a GPU, which one seed does not fill.
 
-Each seed has a folder as ``quadjax train --seeds`` writes it, without a checkpoint; that command
-with the same words then prints the table of seeds and draws the learning curves. After ``limit``
-seconds the trainings end where they are.
+Each seed gets the folder that ``quadjax train --seeds`` writes, without a checkpoint; that command
+with the same arguments then prints the table of seeds and draws the learning curves. The trainings
+end at the first evaluation after ``limit`` seconds. Numbers: docs/design/simulator.md.
 
     python -m benchmarks.seeds_at_once e2e_paper --seeds 0 1 2 --output runs
     quadjax train e2e_paper --seeds 0 1 2 --output runs
@@ -71,12 +71,9 @@ def seeds_at_once(
     limit: float = math.inf,
 ) -> None:
     """Train the seeds of a preset together."""
-    begun, name = time.monotonic(), quadjax.load(preset, changes).name
+    start, name = time.monotonic(), quadjax.load(preset, changes).name
     configs = [quadjax.load(preset, [*changes, f"seed={x}", f"name={name}_seed{x}"]) for x in seeds]
-    folders, params = (
-        [output / config.name for config in configs],
-        build.training_params(configs[0]),
-    )
+    folders = [output / config.name for config in configs]
     for config, folder in zip(configs, folders, strict=True):
         with claim(folder, KIND, FILES):
             prepare_folder(config, folder, resume=False, overwrite=False)
@@ -89,13 +86,13 @@ def seeds_at_once(
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
     chunks = train_chunks(lambda *x: many(learner.hyper, *x), params, stacked, plan)
     for chunk in chunks:
-        seconds, scores = time.monotonic() - begun, score(chunk.state.evaluated)
+        seconds, scores = time.monotonic() - start, score(chunk.state.evaluated)
         for i, total in enumerate(scores):
             state, metrics = at(chunk.state, i), at(chunk.metrics, i)
-            one = dataclasses.replace(chunk, state=state, metrics=metrics)
-            runs[i] = runs[i].after(one, total, seconds)
+            progress = dataclasses.replace(chunk, state=state, metrics=metrics)
+            runs[i] = runs[i].after(progress, total, seconds)
             best = {"lap_total": total, "best_lap_total": runs[i].best_score}
-            files[i].write({**one.row, "seconds": seconds, **best})
+            files[i].write({**progress.row, "seconds": seconds, **best})
         laps = [round(x, 2) for x in scores]
         print(f"{chunk.steps / 1e6:.1f} M steps, {seconds:.0f} s, laps {laps} s", flush=True)
         if seconds > limit:

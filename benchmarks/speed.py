@@ -3,7 +3,7 @@
 Environment steps a second with the reset of finished episodes, the same with the observation for
 each vehicle model, and training steps a second. Every measurement runs in a separate process: the
 median of its repeats, in brackets the slowest. docs/design/simulator.md has numbers. Arguments: the
-repeats, and measurements in place of all, such as ``3 training:e2e:8192``: with 8192 environments.
+number of repeats, and the measurements if not all, KIND:NAME:ENVIRONMENTS (``training:e2e:8192``).
 """
 
 import multiprocessing

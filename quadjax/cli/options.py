@@ -96,9 +96,9 @@ def named_number(
     """The parameter of a text ``NAME=NUMBER``; see ``by_name``.
 
     Args:
-        allowed: text of what it may be, for messages.
+        allowed: description of the allowed texts, for messages.
         fits: whether a number is allowed.
-        names: the allowed ones; any if empty.
+        names: the allowed names; any if empty.
     """
 
     def convert(text: str) -> str:
@@ -115,10 +115,10 @@ def named_number(
 
 
 def by_name(option: str, texts: Sequence[str] | None) -> dict[str, float]:
-    """The numbers of ``NAME=NUMBER`` texts of an option, by their names.
+    """The numbers of an option's ``NAME=NUMBER`` texts, by their names.
 
     Raises:
-        InputError: a name that occurs twice.
+        InputError: a name occurs twice.
     """
     numbers: dict[str, float] = {}
     for text in texts or ():
@@ -130,7 +130,7 @@ def by_name(option: str, texts: Sequence[str] | None) -> dict[str, float]:
 
 
 def check_shares(runs: int | None, plants: int | None) -> None:
-    """Raise an ``InputError`` unless a number of plants can share a number of runs equally."""
+    """Raise an ``InputError`` unless the runs are a multiple of the plants."""
     if runs and plants and runs % plants:
         raise InputError(f"--runs is {runs}, allowed: multiples of --plants ({plants})")
 

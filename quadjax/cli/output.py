@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-SECONDS = 5.0  # of a step that prints a line where there is no terminal
+SECONDS = 5.0  # after which a step prints a line where there is no terminal
 AMOUNT = re.compile(r": [\d.]+ (s|frames)\b.*$")  # at the end of a step's text
 ARGUMENTS: contextvars.ContextVar[Sequence[str]] = contextvars.ContextVar("ARGUMENTS", default=())
 
@@ -23,10 +23,10 @@ def stderr() -> Console:
 
 @contextmanager
 def steps(console: Console | None = None) -> Iterator[Callable[[str], None]]:
-    """Yield a function that shows the present step of a command until the block ends.
+    """Yield a function that shows the current step of a command until the block ends.
 
-    A terminal has one line that changes. Elsewhere a step that takes ``SECONDS`` prints one line.
-    Texts that differ in an amount at the end, as in ``run 1: 3 s flown``, are of one step.
+    A terminal has one line that changes. Elsewhere a step prints one line after ``SECONDS``. Texts
+    that differ only in an amount at the end, as in ``run 1: 3 s flown``, belong to one step.
 
     Args:
         console: that of stderr if not given.
@@ -44,7 +44,7 @@ def steps(console: Console | None = None) -> Iterator[Callable[[str], None]]:
 
 
 class _Lines:
-    """Prints the text of a step that has taken ``SECONDS``."""
+    """Prints the latest text of a step once, ``SECONDS`` after it began."""
 
     def __init__(self, console: Console) -> None:
         self._console, self._step, self._text = console, "", ""

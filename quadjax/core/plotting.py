@@ -50,7 +50,7 @@ def head(axes: Axes, title: str = "", columns: int = 4) -> None:
     Args:
         axes: with everything drawn that has a label.
         title: above the legend.
-        columns: of the legend, at most: fewer where the labels are too long for the figure.
+        columns: most columns of the legend; fewer if the labels are too long for the figure.
     """
     handles, labels = axes.get_legend_handles_labels()
     if handles:
@@ -65,7 +65,7 @@ def head(axes: Axes, title: str = "", columns: int = 4) -> None:
             "borderaxespad": 0.2,
         }
         legend = axes.legend(handles, labels, ncols=columns, **place, **style)
-        legend.set_in_layout(not title)  # a title leaves its height; it may be wider than the axes
+        legend.set_in_layout(not title)  # the title's pad has its height; it may exceed the axes
     rows = -(-len(handles) // columns)
     axes.set_title(title, color=INK, fontsize=13, loc="left", pad=8 + 17 * rows)
 

@@ -92,8 +92,8 @@ class Condition(Section):
         """The plant of the condition; None: the simulator.
 
         Raises:
-            InputError: an unknown key or effect, a change that the simulator does not have, or
-                damage, which the plant does not have.
+            InputError: an unknown key or effect, a change of the plant in the simulator, or damage
+                on a plant.
         """
         with prefixed(f"condition {self.label}"):
             if plant is None:
@@ -109,7 +109,7 @@ class Condition(Section):
 
 
 def _with_only(plant: PlantConfig, names: Sequence[str]) -> PlantConfig:
-    """A plant without all effects but some; ``DELAYS`` are one of them."""
+    """A plant with the named effects only; ``DELAYS`` names its transport delays."""
     none, effects = without_effects(plant), plant.effects.model_dump()
     for name in names:
         if name not in (allowed := (*effects, DELAYS)):
@@ -145,7 +145,7 @@ class Conditions(Section):
     plant: str | None = Field(None, description="config of the plant; null: the simulator")
     plants: int = Field(1, ge=1, le=MAX_PLANTS, description="drawn plants, which share the flights")
     conditions: tuple[Condition, ...] = Field(min_length=1, max_length=1000, description="list")
-    _source: str = PrivateAttr("conditions")  # the file or the name, for messages
+    _source: str = PrivateAttr("conditions")  # file or name, for messages
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -180,11 +180,11 @@ class Conditions(Section):
         return self.replace(**defaults | changes)
 
     def replace(self, **changes: object) -> Self:
-        """A copy with other values, of the same source."""
+        """A copy with other values and the same source."""
         return super().replace(**changes).of_source(self._source)
 
     def of_source(self, source: str) -> Self:
-        """The list with the file or the name that messages begin with."""
+        """Set the file or the name with which messages begin; return the list."""
         self._source = source
         return self
 
@@ -197,23 +197,22 @@ class Conditions(Section):
     def of(
         self, config: Config, plant: PlantConfig | None = None
     ) -> Iterator[tuple[Condition, Config, PlantConfig | None]]:
-        """Each condition, the race in it, and the plant.
+        """Each condition, its race, and its plant.
 
-        The plant is None in the simulator, and for what a plant cannot start: of several
-        conditions, those that do not begin at hover.
+        The plant is None in the simulator. In a list of several conditions it is also None for
+        those that do not start from hover, which a plant cannot fly.
 
         Raises:
-            InputError: that names the list and the condition.
+            InputError: a wrong condition; the message names the list and the condition.
         """
         with prefixed(self._source):
             races = list(self._races(config))
             for condition, race in races:
                 left_out = len(races) > 1 and self.under(condition).start != "hover"
-                stays = plant is None or not left_out
-                yield condition, race, condition.on_plant(plant) if stays else None
+                yield condition, race, None if plant and left_out else condition.on_plant(plant)
 
     def _races(self, config: Config) -> Iterator[tuple[Condition, Config]]:
-        """Each condition, those of drawn constants too, and the race in it."""
+        """Each condition, including those of drawn constants, and its race."""
         base = changed(config, self.overrides)
         listed = {condition.label: condition.race(base) for condition in self.conditions}
         for condition in self.conditions:

@@ -55,7 +55,7 @@ def simulate(
         protocol, if any.
 
     Raises:
-        InputError: a policy that does not fit, or a start that random tracks do not have.
+        InputError: a policy that does not fit the race, or a start that random tracks lack.
     """
     modeled, config = configs
     label = condition.label

@@ -42,7 +42,7 @@ def symbol_name(name: str | None, file: str) -> str:
 
 
 def is_range(size: float) -> bool:
-    """Whether the half-width of an input's range is a power of two that the C can have."""
+    """Whether the half-width of an input's range is a power of two that the format allows."""
     return SMALLEST <= size <= LARGEST and math.frexp(size)[0] == 0.5
 
 

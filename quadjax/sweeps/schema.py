@@ -155,7 +155,7 @@ class SweepFile(Section):
     def _check(self) -> "SweepFile":
         if self.storage != JOURNAL and "://" not in self.storage:
             allowed = "journal, or the URL of a database, such as postgresql://USER@HOST/DATABASE"
-            value = "***" if "@" in self.storage else self.storage  # it may have a password
+            value = "***" if "@" in self.storage else self.storage  # it may contain a password
             raise ValueError(f"storage is {value!r}, allowed: {allowed}")
         plant, plants, runs = self.objective.plant, self.objective.plants, self.objective.runs
         if plant is not None and runs % plants:

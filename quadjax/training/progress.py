@@ -36,7 +36,7 @@ class TrainingProgress:
         )
         short = name if len(name) <= MAX_NAME else f"{name[: MAX_NAME - 1]}…"
         self._task = self._bar.add_task(short, total=total_steps, status="compiling")
-        self._began, self._logged = math.inf, -math.inf  # s, of the clock
+        self._began, self._logged = math.inf, -math.inf  # clock times, s
 
     def __enter__(self) -> Self:
         """Start showing."""
@@ -53,7 +53,7 @@ class TrainingProgress:
             self._bar.stop()
 
     def compiling(self) -> None:
-        """Show for how long the programs have been compiled; to be called again and again."""
+        """Show how long the compilation has taken; call it repeatedly."""
         now = time.monotonic()
         status = f"compiling, {now - self._began:.0f} s"
         if self._console.is_terminal:
