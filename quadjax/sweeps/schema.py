@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
+from quadjax.core.errors import short
 from quadjax.core.sections import Field, FolderName, Positive, Section, model_validator
 
 WAYS = ("choices", "range", "log")  # to name the values of a key
@@ -55,7 +56,7 @@ class Range(Section):
         if self.choices is not None:
             return CategoricalDistribution([stored(choice) for choice in self.choices])
         if isinstance(base, bool) or not isinstance(base, (int, float, type(None))):
-            raise ValueError("is not a number, allowed: choices")
+            raise ValueError(f"the base has {short(base)}, no number, allowed: choices")
         low, high = self.range or self.log or (0.0, 1.0)
         whole = all(number.is_integer() for number in (low, high, self.step or 1.0))
         if isinstance(base, int) and not whole:

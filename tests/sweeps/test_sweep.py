@@ -43,7 +43,7 @@ space: {learner.clip_range: {range: [a, 1]}} | space.learner.clip_range range
 space: {learner.clip_range: {range: [0.1, 1e+99]}} | clip_range 1e+99
 space: {learner.num_epochs: {range: [1, 2.5]}} | 2.5 whole
 space: {learner.clip_range: {log: [0, 1]}} | space.learner.clip_range log
-space: {network.activation: {range: [0, 1]}} | network.activation choices
+space: {network.activation: {range: [0, 1]}} | network.activation 'relu' choices
 space: {learner.clip_range: 0.2} | space.learner.clip_range 0.2 mapping
 space: {learner.clip_range: {range: [0.1, 1], log: [0.1, 1]}} | one of 2
 space: {learner.clip_range: {log: [0.1, 1], step: 0.1}} | step
