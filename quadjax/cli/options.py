@@ -147,7 +147,7 @@ def path(allowed: str, convert: Callable[[str], Path] = Path, **named: Any) -> P
 
 
 def _folder(text: str) -> Path:
-    """A folder to write to, whose nearest folder that exists can be written."""
+    """The path of a folder that can be written; of a new one, the nearest existing folder."""
     folder = Path(text)
     nearest = next(path for path in (folder, *folder.parents) if path.exists())
     if nearest.is_file():

@@ -47,7 +47,7 @@ class Range(Section):
             raise ValueError(f"{ways[0]} is {[low, high]}, allowed: [lowest, highest]{above}")
         count = (high - low) / (self.step or 1.0)
         if self.step and (round(count) < 1 or abs(count - round(count)) > 1e-6):
-            allowed = f"a whole fraction of the range {[low, high]}"
+            allowed = f"a divisor of {high - low:g}, the length of the range"
             raise ValueError(f"step is {self.step:g}, allowed: {allowed}")
         return self
 

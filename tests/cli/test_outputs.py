@@ -99,14 +99,14 @@ def test_somebody_s_files_are_not_replaced(tmp_path, capsys, monkeypatch):
         assert (folder / file).read_text() == "mine"
 
 
-OF_FOLDERS = ["export e2e", "train e2e", "sil e2e", "fit standin", "sweep learning_rate"]
+WRITERS = ["export e2e", "train e2e", "sil e2e", "fit standin", "sweep learning_rate"]
 
 
 def test_a_folder_without_permission_is_refused_at_once(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
-    for command in (f"{each} --output" for each in OF_FOLDERS):
-        error = refusal(capsys, *command.split(), "new/one")
+    for command in WRITERS:
+        error = refusal(capsys, *command.split(), "--output", "new/one")
         assert "--output: new/one: no permission in ., allowed: a folder" in error
     figures = ("evaluate", "e2e", "--policy", "e2e", "--figures", "new")
     assert "--figures: new: no permission in ." in refusal(capsys, *figures)

@@ -52,8 +52,8 @@ space: {} | space
 space: {learner.discount: {rang: [0.9, 0.99]}} | learner.discount.rang mapping choices range log
 space: {learner.discount: {range: [0.99, 0.9]}} | learner.discount: range [0.99 [lowest, highest]
 space: {learner.learning_rate: {log: [0, 0.1]}} | log [0.0, 0.1] [lowest, highest] above 0
-space: {learner.discount: {range: [0.9, 0.99], step: 1}} | step 1 whole fraction [0.9, 0.99]
-space: {learner.num_epochs: {range: [1, 10], step: 4}} | step 4 whole fraction
+space: {learner.discount: {range: [0.9, 0.99], step: 1}} | step 1 divisor 0.09
+space: {learner.num_epochs: {range: [1, 10], step: 4}} | step 4 divisor 9
 space: {learner.discount: {range: [0.9, 1.2]}} | discount 1.2
 space: {learner.clip_range: {choices: [true]}} | learner.clip_range true
 space: {learner.num_minibatches: {choices: [2, 4]}, learner.num_envs: {choices: [16, 10]}} \
