@@ -140,8 +140,10 @@ def test_a_long_step_of_a_command_is_one_line_where_there_is_no_terminal(monkeyp
 
 def test_view_says_what_it_simulates(tmp_path, capsys, monkeypatch):
     def evaluate(*options, **more):
+        time.sleep(0.5)
         raise InputError("enough")
 
+    monkeypatch.setattr(output, "SECONDS", 0.1)
     monkeypatch.setattr("quadjax.sources.evaluate", evaluate)
     assert run("view", "e2e", "--race", "e2e", "--output", tmp_path / "a.html") == 2
     lines = capsys.readouterr().err.splitlines()
