@@ -17,6 +17,7 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.vector import AutoresetMode  # noqa: E402
 
 from quadjax.integrations.gym import ID, RaceEnv, RaceVectorEnv  # noqa: E402
+from quadjax.integrations.gymnax import GymnaxRace  # noqa: E402
 from tests.race.support import BLANK  # noqa: E402
 
 N = 6
@@ -156,6 +157,41 @@ def test_it_is_the_race_that_is_trained():
     found = env.step(np.tile(action, (N, 1)))
     np.testing.assert_allclose(found[1][0], reward, atol=1e-6)
     np.testing.assert_allclose(found[0][0], observation, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_gymnaxs_steps_are_those_of_the_race_and_reset_at_the_end():
+    race, params = short()
+    env = GymnaxRace(race, params)
+    keys, action = jax.random.split(jax.random.key(4), 6), hover(1)[0]
+    observation, state = env.reset(keys[0])
+    np.testing.assert_allclose(observation, race.observe(params, state), atol=1e-6)
+    step, reference = jax.jit(race.step), state
+    for number, key in enumerate(keys[1:], start=1):
+        observation, state, reward, *over, info = env.step(key, state, action)
+        reference, expected, *_ = step(params, reference, action)
+        np.testing.assert_allclose(reward, expected, atol=1e-6)
+        final = jax.jit(race.observe)(params, reference)
+        np.testing.assert_allclose(info["final_observation"], final, atol=1e-5)
+        assert [bool(flag) for flag in over] == [False, number == 5]
+        if number < 5:
+            np.testing.assert_array_equal(observation, info["final_observation"])
+    first, begun = env.reset(keys[5])
+    np.testing.assert_allclose(observation, first, atol=1e-6)
+    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-6), state, begun)
+
+
+@pytest.mark.slow
+def test_gymnaxs_wrappers_take_the_race():
+    wrappers = pytest.importorskip("gymnax.wrappers", reason="gymnax is not installed")
+    race, key = GymnaxRace(*short()), jax.random.key(1)
+    env = wrappers.GymnaxToGymWrapper(race)
+    assert env.reset()[0] in env.observation_space and env.action_space.shape == (4,)
+    log = wrappers.LogWrapper(race)
+    _, state = log.reset(key)
+    for _ in range(5):
+        *_, state, _, terminated, truncated, info = log.step(key, state, hover(1)[0])
+    assert truncated and not terminated and info["returned_episode_lengths"] == 5
 
 
 @pytest.mark.slow
