@@ -40,7 +40,7 @@ SMALL = {
     "reproduce_paper": [
         'AUTHORS, STEPS = "nowhere", {"E2E": 512, "INDI": 512}',
         f"OVERRIDES = {SHORT}",
-        "RUNS, PLANT_RUNS, LAPS, SEED, CHANGES = 2, 1, 1, 0, {}",
+        "RUNS, LAPS, SEED = 2, 1, 0",
     ],
     "train": [
         "STEPS, SEED, RUNS = 512, 0, 2",
