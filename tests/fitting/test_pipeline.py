@@ -1,6 +1,7 @@
 """The command, and what a fit may do to flights that it has not seen."""
 
 import json
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -167,9 +168,11 @@ def test_missing_logs_of_the_simulated_drone_say_how_they_are_made(tmp_path, mon
 def test_progress_is_printed_without_a_terminal(two, tmp_path, monkeypatch, capsys):
     def stop(config, folder, report):
         read_logs(config.logs.replace(files=config.logs.files[:1]), folder, report)
+        time.sleep(0.5)
         raise InputError("stopped")
 
     monkeypatch.setattr(fits, "fit", stop)
+    monkeypatch.setattr("quadjax.cli.output.SECONDS", 0.1)
     logs = f"logs.files={two}/flight_0.csv"
     assert run("fit", CONFIG, logs, "--output", tmp_path) == 2
     assert capsys.readouterr().err == "reading flight_0.csv\nerror: stopped\n"
