@@ -166,8 +166,10 @@ def merge_layers(
     files: dict[str, str] = {}
     for source, over in layers:
         tree = merge_trees(without_replaced(tree, over, str(source)), over)
-        for key in flatten(over):
-            files = {name: file for name, file in files.items() if not name.startswith(f"{key}.")}
+        keys = flatten(over)
+        replaced = tuple(f"{key}." for key in keys)
+        files = {name: file for name, file in files.items() if not name.startswith(replaced)}
+        for key in keys:
             while key:
                 files[key] = str(source)
                 key = key.rpartition(".")[0]
