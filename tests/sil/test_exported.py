@@ -128,7 +128,7 @@ def test_a_shipped_policy_flies_with_one_command(tmp_path, monkeypatch, capsys, 
     monkeypatch.chdir(tmp_path)
     assert run("sil", "indi_shac", "--laps", 1) == 0
     printed, errors = capsys.readouterr()
-    assert len(printed.splitlines()) == 8 and re.search(r"drone: .*, [\d,]+ steps\n", printed)
+    assert len(printed.splitlines()) == 9 and re.search(r"drone: .*, [\d,]+ steps\n", printed)
     begun = [line.partition(":")[0] for line in errors.splitlines()]
     assert len(begun) == len(set(begun)) and begun[-1] == "wrote runs/sil/"
     assert "C that flies: indi_shac.qjp, paparazzi/" in printed and "glue of Paparazzi" in printed
