@@ -59,12 +59,12 @@ def elementary(axis: int, angle: np.ndarray) -> np.ndarray:
 
 def rotation(euler: np.ndarray) -> np.ndarray:
     """Body to world (n, 3, 3)."""
-    roll, pitch, yaw = np.moveaxis(euler, -1, 0)
+    roll, pitch, yaw = euler[..., 0], euler[..., 1], euler[..., 2]
     return elementary(2, yaw) @ elementary(1, pitch) @ elementary(0, roll)
 
 
 def rotate(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    return np.einsum("...ij,...j->...i", matrix, vector)
+    return (matrix @ vector[..., None])[..., 0]
 
 
 def euler_rates(euler: np.ndarray, rates: np.ndarray) -> np.ndarray:
@@ -108,24 +108,24 @@ def motor_derivative(
     d1, d2, d3, d4 = w_dot.T
     first, second = w.sum(axis=1), (w**2).sum(axis=1)
     f_z = -c["k_w"] * second - c["k_z"] * vz * first - c["k_h"] * (vx**2 + vy**2)
-    force = np.stack([-c["k_x"] * vx * first, -c["k_y"] * vy * first, f_z], -1)
-    m_z = (
-        c["k_r1"] * (w2 + w4 - w1 - w3) + c["k_r2"] * (d2 + d4 - d1 - d3) - c["k_rr"] * omega[:, 2]
-    )
-    moment = np.stack(
+    force = np.array([-c["k_x"] * vx * first, -c["k_y"] * vy * first, f_z]).T
+    p, q, r = omega.T
+    m_z = c["k_r1"] * (w2 + w4 - w1 - w3) + c["k_r2"] * (d2 + d4 - d1 - d3) - c["k_rr"] * r
+    s1, s2, s3, s4 = (w**2).T
+    moment = np.array(
         [
-            c["k_p"] * ((w1**2 + w4**2) - (w2**2 + w3**2)) + c["k_pv"] * vy,
-            c["k_q"] * ((w1**2 + w2**2) - (w3**2 + w4**2)) + c["k_qv"] * vx,
+            c["k_p"] * ((s1 + s4) - (s2 + s3)) + c["k_pv"] * vy,
+            c["k_q"] * ((s1 + s2) - (s3 + s4)) + c["k_qv"] * vx,
             m_z,
-        ],
-        -1,
-    )
+        ]
+    ).T
     if residual is not None:
         extra_z, extra_moment = residual_terms(residual, w, v_body, omega)
-        force = force + np.stack([0 * extra_z, 0 * extra_z, extra_z], -1)
+        force[:, 2] += extra_z
         moment = moment + extra_moment
-    inertia = np.array([c["i_xx"], c["i_yy"], c["i_zz"]])
-    torque = moment + state[:, MOMENT] - np.cross(omega, inertia * omega)
+    inertia = i_x, i_y, i_z = np.array([c["i_xx"], c["i_yy"], c["i_zz"]])
+    turning = np.array([(i_z - i_y) * q * r, (i_x - i_z) * r * p, (i_y - i_x) * p * q]).T
+    torque = moment + state[:, MOMENT] - turning  # of omega x (inertia omega)
     derivative = np.zeros_like(state)
     derivative[:, P] = v
     derivative[:, V] = rotate(matrix, force + state[:, FORCE]) + [0.0, 0.0, c["g"]]
@@ -140,7 +140,7 @@ def rate_derivative(c: dict, state: np.ndarray, command: np.ndarray) -> np.ndarr
     v, euler, omega, thrust = state[:, V], state[:, EULER], state[:, RATES], state[:, 12]
     matrix = rotation(euler)
     v_body = rotate(np.swapaxes(matrix, -1, -2), v)
-    force = np.stack([-c["d_x"] * v_body[:, 0], -c["d_y"] * v_body[:, 1], -thrust], -1)
+    force = np.array([-c["d_x"] * v_body[:, 0], -c["d_y"] * v_body[:, 1], -thrust]).T
     derivative = np.zeros_like(state)
     derivative[:, P] = v
     derivative[:, V] = rotate(matrix, force) + [0.0, 0.0, c["g"]]

@@ -18,7 +18,7 @@ from .flights import as_reference, random_residual, runge_kutta
 BEBOP = MotorConstants(**ref.MOTOR)
 DRONE = VehicleParams(BEBOP, random_residual(1, 0.5, 0.005))
 MOMENT, FORCE = np.array([0.02, -0.03, 0.008]), np.array([0.3, -0.2, -0.5])
-SECONDS, ONSET = 2.5, 0.5
+SECONDS, ONSET = 1.6, 0.3
 CASES = {  # rate, Hz; steps in a sample; whether they are explicit Euler steps
     "simulation 100 Hz": (100.0, 1, True),
     "on board 512 Hz": (512.0, 1, False),
@@ -55,12 +55,12 @@ def flight(request):
         def slope(x, u=u):
             return ref.motor_derivative(ref.MOTOR, x, u, own)
 
-        to_body = np.swapaxes(ref.rotation(x[:, ref.EULER]), 1, 2)
-        force = ref.rotate(to_body, slope(x)[:, ref.V] - [0.0, 0.0, 9.81])[0]
+        k1, to_body = slope(x), np.swapaxes(ref.rotation(x[:, ref.EULER]), 1, 2)
+        force = ref.rotate(to_body, k1[:, ref.V] - [0.0, 0.0, 9.81])[0]
         velocity = ref.rotate(to_body, x[:, ref.V])[0]
         record.append((x[0, ref.RATES].copy(), force, x[0, ref.RPM].copy(), velocity))
-        for _ in range(substeps):
-            k1 = slope(x)
+        for number in range(substeps):
+            k1 = slope(x) if number else k1
             x = x + dt * k1 if euler else runge_kutta(slope, x, dt, k1)
     gyro, force, rpm, velocity = (np.float32(values) for values in zip(*record, strict=True))
     measured = Measurement(Vec3.of(gyro), Vec3.of(force), Rotors.of(rpm), Vec3.of(velocity))
