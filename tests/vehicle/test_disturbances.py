@@ -19,19 +19,20 @@ MOMENTS = {"motor": 0.01, "racing": 20.0, "a2rl": 20.0, "rotor_thrust": 20.0}
 
 
 @functools.cache
-def race(name, *overrides):
+def race(name):
+    """A race with disturbances and their estimate, and a state at a start."""
     base = "e2e" if name == "motor" else "e2e_race"
-    sizes = [f"disturbance.moment_{axis}={MOMENTS[name]}" for axis in "xyz"]
-    config = quadjax.load(
-        base, [f"vehicle={VEHICLES[name]}", *sizes, "disturbance.force_z=2", *overrides]
-    )
-    return race_of(config)
+    words = [f"disturbance.moment_{axis}={MOMENTS[name]}" for axis in "xyz"]
+    words += ["disturbance.force_z=2", "observation.disturbance=estimated"]
+    config = quadjax.load(base, [f"vehicle={VEHICLES[name]}", "vehicle.integrator=euler", *words])
+    choices, params = race_of(config)
+    state = jax.jit(make_environment(choices).reset)(params, jax.random.key(3))
+    return choices, params, state
 
 
 @pytest.mark.parametrize("name", DISTURBED)
 def test_moment_and_force_reach_the_derivative(name):
-    choices, params = race(name)
-    state = jax.jit(make_environment(choices).reset)(params, jax.random.key(0))
+    choices, params, state = race(name)
     model, drone = choices.model, state.drone
     moment, force = drone.disturbance
     assert abs(moment.x) > 0 and abs(force.z) > 0 and force.x == 0
@@ -49,24 +50,22 @@ def test_moment_and_force_reach_the_derivative(name):
 
 @pytest.mark.parametrize("name", DISTURBED)
 def test_the_estimate_settles_at_the_disturbance(name):
-    choices, params = race(name, "observation.disturbance=estimated", "vehicle.integrator=euler")
+    choices, params, first = race(name)
     assert "moment_ext" in choices.layout.names
-    environment = make_environment(choices)
+    environment, key = make_environment(choices), jax.random.key(3)
+    # Without a lag, the measured thrusts are those of the step before: they have to be steady.
+    spread = 0.1 if choices.model.lags else 0.0
+    actions = spread * jax.random.normal(key, (60, choices.model.action_size)) - 0.3
 
     @jax.jit
-    def flown(params, key):
-        first = environment.reset(params, key)
-        # Without a lag, the measured thrusts are those of the step before: they have to be steady.
-        spread = 0.1 if choices.model.lags else 0.0
-        action = spread * jax.random.normal(key, (60, choices.model.action_size)) - 0.3
-
+    def flown(params, first, actions):
         def step(state, action):
             following = environment.step(params, state, action)[0]
             return following, following.estimate
 
-        return first, jax.lax.scan(step, first, action)[1]
+        return jax.lax.scan(step, first, actions)[1]
 
-    first, estimate = flown(params, jax.random.key(3))
+    estimate = flown(params, first, actions)
     moment, force = first.drone.disturbance
     late = jax.tree.map(lambda x: np.asarray(x)[-1], (estimate.moment, estimate.force))
     np.testing.assert_allclose(late[0].array(), moment.array(), atol=0.02 * MOMENTS[name])
