@@ -1,8 +1,8 @@
 """Train a policy to catch a thrown drone and hover, and throw the drone 10,000 times.
 
-The task by which RLtools and crazyflow report how fast they train. The race, its starts and sizes
-are in ``hover.yaml``; a throw has any attitude, up to 1 m, 2 m/s and 3 rad/s in each axis. It is
-caught if the drone is within 0.3 m of the point and below 0.5 m/s after 4 s.
+The task by which RLtools and crazyflow report how fast they train: the part ``+hover``. A throw has
+any attitude, up to 1 m, 2 m/s and 3 rad/s in each axis. It is caught if the drone is within 0.3 m
+of the point and below 0.5 m/s after 4 s.
 
     python -m benchmarks.hover --seeds 0 1 2 3 4
 """
@@ -10,22 +10,15 @@ caught if the drone is within 0.3 m of the point and below 0.5 m/s after 4 s.
 from pathlib import Path
 from typing import Annotated
 
-import jax
 import numpy as np
 
 import quadjax
 from quadjax.cli import script
 from quadjax.cli.options import LIST, whole
 from quadjax.core.sections import MAX_RUNS
-from quadjax.race.types import Step
 
-CONFIG = Path(__file__).with_suffix(".yaml")
+CONFIG = "e2e +hover"
 SECONDS, NEAR, SLOW = 4.0, 0.3, 0.5  # s, m, m/s
-
-
-def distance(step: Step) -> jax.Array:
-    """Minus the distance () from the point at which to hover, m, times the time step."""
-    return -step.distance * step.time_step
 
 
 def caught(policy: quadjax.Policy, config: quadjax.Config, throws: int) -> np.ndarray:

@@ -38,9 +38,9 @@ def train(
     With --seeds the config, or each of several, is trained once for each seed, one
     after the other. Quote a config with its parts as one argument ("e2e +fastest"). A
     finished run is not trained again. The first table has the training runs; 'last' and
-    'best' are lap times of the flights that run.score selects. The second table has mean
-    and sampled flights of the best policies, from hover and from random starts. The figure
-    shows the learning curves of all configs.
+    'best' are the scores that run.score selects. The second table has mean and sampled
+    flights of the best policies, from hover and from random starts. The figure shows the
+    learning curves of all configs.
 
     Example: quadjax train e2e seed=3 run.steps=5000000 --name third
 

@@ -134,10 +134,11 @@ class Run(Section):
     evaluate_every: int = Field(
         500_000, ge=1, le=10**12, description="environment steps between evaluations (one chunk)"
     )
-    score: Literal["mean", "sampled"] = Field(
+    score: Literal["mean", "sampled", "reward"] = Field(
         "mean",
-        description="flights by which the best policy is chosen and that metrics.csv reports: of "
-        "the mean action, or sampled with the noise of training",
+        description="flights by which the best policy is chosen and that metrics.csv reports: lap "
+        "times of the mean action, or sampled with the noise of training; or rewards of the mean "
+        "action in episodes from random starts",
     )
     checkpoint_seconds: float = Field(
         20.0, ge=0, le=1e6, description="least time between two checkpoints, s"
@@ -148,6 +149,11 @@ class Run(Section):
         description="keep compiled programs in the user's cache folder, so that the next start "
         "compiles nothing; JAX_COMPILATION_CACHE_DIR sets another folder",
     )
+
+    @property
+    def score_name(self) -> str:
+        """The column of the score in ``metrics.csv``."""
+        return "episode_reward" if self.score == "reward" else "lap_total"
 
 
 class Evaluate(Section):

@@ -17,10 +17,15 @@ from quadjax.training.result import read_metrics
 
 Metrics = Mapping[str, np.ndarray]  # column name -> (rows,)
 ACROSS = {"seconds": ("wall time (s)", 1.0), "steps": ("environment steps (millions)", 1e-6)}
-UPWARDS = {"reward": "reward per step", "lap_total": "all laps (s)", "crash_rate": "crash rate"}
+UPWARDS = {
+    "reward": "reward per step",
+    "lap_total": "all laps (s)",
+    "episode_reward": "reward of an episode",
+    "crash_rate": "crash rate",
+}
 LAP_RANGE = 1.6  # the lap axis ends at this multiple of the best time
 COLORS = (*SERIES, "#7b4fa3", "#5b6770", "#8c5a2b", "#c2569b")
-SCORES = {"mean": "mean action", "sampled": "sampled"}  # by run.score
+SCORES = {"mean": "mean action", "sampled": "sampled", "reward": "mean action"}  # by run.score
 
 
 def training_figure(
@@ -117,15 +122,15 @@ def _lap_axis(axes: Axes, times: np.ndarray, references: Sequence[tuple[str, flo
 
 
 def learning_figure(groups: Mapping[str, Sequence[Path]], code: Collection[str] = ()) -> Figure:
-    """Lap times of training runs of several seeds (see ``run.score``), as of ``training_figure``.
+    """Scores of training runs of several seeds (see ``run.score``), as of ``training_figure``.
 
     Args:
         groups: run folders, with ``config.yaml`` and ``metrics.csv``, by the name of their group.
         code: names ``module:OBJECT`` that may be imported from the runs' configs.
 
     Raises:
-        InputError: a folder without them, runs of different numbers of laps, no group, or more
-            groups than colors.
+        InputError: a folder without them, runs of different scores or numbers of laps, no group,
+            or more groups than colors.
     """
     metrics: dict[str, list[Metrics]] = {}
     lengths, published = {}, []
@@ -135,19 +140,21 @@ def learning_figure(groups: Mapping[str, Sequence[Path]], code: Collection[str] 
         configs = [load_config(Path(folder) / "config.yaml", code=code) for folder in folders]
         scores = " and ".join(sorted({SCORES[config.run.score] for config in configs}))
         label = f"{name} ({counted(len(folders), 'seed')}, {scores})"
-        metrics[label] = [_lap_metrics(Path(folder) / "metrics.csv") for folder in folders]
+        score = configs[0].run.score_name
+        metrics[label] = [_metrics(Path(folder) / "metrics.csv", score) for folder in folders]
         lengths[name] = configs[0].evaluate.length
         published += [published_total(config) for config in configs]
     check_lengths(lengths)
     references = dict.fromkeys(published) if all(published) else ()
-    upwards = {"lap_total": f"{next(iter(lengths.values()), '')} (s)"}
+    laps = {"lap_total": f"{next(iter(lengths.values()), '')} (s)"}
+    upwards = {score: (UPWARDS | laps)[score]}
     title = "median over seeds; shaded from the fastest to the slowest"
     return training_figure(metrics, title, *references, upwards=upwards)
 
 
-def _lap_metrics(path: Path) -> Metrics:
+def _metrics(path: Path, score: str) -> Metrics:
     columns = read_metrics(path)
-    missing = [column for column in (*ACROSS, "lap_total") if column not in columns]
+    missing = [column for column in (*ACROSS, score) if column not in columns]
     if missing:
         raise InputError(f"{path}: no column {', '.join(missing)}")
     return columns

@@ -43,10 +43,11 @@ def write_evaluation(run: Run) -> str:
         The lap table, and steps, time, memory and the folder of the run, as text.
     """
     config, folder, metrics = run.config, run.folder, run.metrics
-    published = published_total(config)
+    published, episodes = published_total(config), _episodes(config)
     results = []
     for file, mean in (("laps", False), ("laps_deterministic", True)):
-        result = evaluate(run.policy, config, deterministic=mean, name=str(folder / "policy.npz"))
+        file_name = str(folder / "policy.npz")
+        result = evaluate(run.policy, config, deterministic=mean, name=file_name, **episodes)
         write_json(folder / f"{file}.json", result.to_json())
         results.append(result)
     save_figure(result.plot(), folder / "trajectory.png")
@@ -58,10 +59,19 @@ def write_evaluation(run: Run) -> str:
         path = folder / "metrics.csv"
         lines.append(f"{path}: no rows, so there are no curves of the training")
     lines += _effort(run, published)
-    if run.summary["best_lap_total"] is None:
+    if episodes:
+        best, last = (run.summary[f"{which}_episode_reward"] for which in ("best", "last"))
+        lines.append(f"reward of an episode: best {best}, last {last}")
+    elif run.summary["best_lap_total"] is None:
         crashes = [why for result in results for why in result.laps.crashes]
         lines.append(no_lap(crashes, run.summary["steps"]))
     return "\n".join(lines)
+
+
+def _episodes(config: Config) -> dict[str, Any]:
+    """How a policy is evaluated whose score is the reward: in episodes, not in laps."""
+    seconds = config.training_limits.episode_steps * config.rules.time_step
+    return {"seconds": seconds, "start": "random"} if config.run.score == "reward" else {}
 
 
 def _effort(run: Run, published: tuple[str, float] | None) -> list[str]:
@@ -184,6 +194,8 @@ def evaluate_seed(
 ) -> tuple[dict[str, Any], Evaluation]:
     """Evaluate the best policy of a finished training under ``configs/conditions/protocols.yaml``.
 
+    With ``run.score: reward``, in sampled episodes from random starts.
+
     Args:
         run: the folder of the training.
         runs: number of flights of each kind.
@@ -198,18 +210,17 @@ def evaluate_seed(
     """
     config = load_config(run / "config.yaml", code=code)
     summary = read_summary(run)
-    flights = evaluate(
-        Policy.load(run / "policy.npz"), config, conditions="protocols", runs=runs, name=run.name
-    )
+    how = _episodes(config) or {"conditions": "protocols"}
+    flights = evaluate(Policy.load(run / "policy.npz"), config, runs=runs, name=run.name, **how)
     published = published_total(config)
     first = published and first_under(read_metrics(run / "metrics.csv"), published[1])
     seconds, steps = first or (None, None)
-    times = flights["mean"].laps.lap_times
+    times = flights.lap_times
     fastest = round(float(np.nanmin(times)), 3) if np.isfinite(times).any() else None
     numbers = {key: summary[key] for key in ("seed", "seconds", "steps")}
     numbers |= {"reference": published and published[1]}
-    numbers |= {"first_seconds": seconds, "first_steps": steps, "last": summary["last_lap_total"]}
-    numbers |= {"best": summary["best_lap_total"], "flying_lap": fastest}
+    numbers |= {"first_seconds": seconds, "first_steps": steps, "flying_lap": fastest}
+    numbers |= {which: summary[f"{which}_{config.run.score_name}"] for which in ("last", "best")}
     return numbers | {"memory_mib": summary["peak_memory_mib"]}, flights
 
 

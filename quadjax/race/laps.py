@@ -32,6 +32,7 @@ class Laps:
     seconds: np.ndarray  # (runs,) s from the start to the end of the run
     time_limit: float  # s; no run lasts longer
     last_gates: int = 0  # gates of the last lap where it is a part of one; 0: it is whole
+    reward: float | None = None  # mean of the runs' rewards, where these are the score
 
     @property
     def totals(self) -> np.ndarray:
@@ -45,11 +46,13 @@ class Laps:
 
     @property
     def score(self) -> float:
-        """Mean time of all laps, s; lower is better.
+        """Mean time of all laps, s, or minus the mean reward of the runs; lower is better.
 
         A run that does not finish counts as the time limit, which no run that finishes exceeds, so
         that a crash never improves the score. Infinite where no run finishes.
         """
+        if self.reward is not None:
+            return -self.reward
         if self.finished == 0:
             return math.inf
         return float(np.nan_to_num(self.totals, nan=self.time_limit).mean())

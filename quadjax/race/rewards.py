@@ -55,6 +55,9 @@ class Reward(Section):
         description="clearance violation in each axis above which the penalty is constant, m; at "
         "least that at the edge of a widened opening",
     )
+    distance: Annotated[Penalty, UnusedAtZero()] = Field(
+        0.0, description="penalty per s and m of distance from the target gate's center"
+    )
     action_change: Annotated[Penalty, UnusedAtZero()] = Field(
         0.0,
         description="penalty per change of an action from step to step, each in -1 to 1, summed",
@@ -195,6 +198,7 @@ REWARDS: dict[str, Term] = {  # by the name of the weight, a field of ``Reward``
     "body_rates": Term(lambda step: -safe_norm(step.body_rates), "per second"),
     "pitch_up": Term(lambda step: -step.euler.y, "per second"),
     "perception": Term(perception, "per second"),
+    "distance": Term(lambda step: -step.distance, "per second"),
     "overspeed": Term(overspeed, "per second"),
 }
 

@@ -64,7 +64,7 @@ def train_and_fly(
     limit = time_limit(track, race_length(track, laps.laps, laps.gates))
 
     def row_enough(row: dict[str, float]) -> bool:
-        return enough(row["steps"] / config.run.steps, min(row["best_lap_total"], limit))
+        return enough(row["steps"] / config.run.steps, min(row.get("best_lap_total", limit), limit))
 
     try:
         if not train(config, folder, resume=True, enough=row_enough).finished:

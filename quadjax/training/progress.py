@@ -84,7 +84,7 @@ class TrainingProgress:
 def describe(row: Row) -> str:
     """A row of metrics in at most 40 characters: lap times once all laps are completed."""
     speed = f"{row['steps_per_second'] / 1e3:.0f} k/s"
-    if not math.isfinite(row["best_lap_total"]):
+    if not math.isfinite(row.get("best_lap_total", math.inf)):
         reward = f"{speed}  reward {row['reward']:.3f}" if "reward" in row else speed
         crashes = f"  crashes {100.0 * row['crash_rate']:.0f}%" if "crash_rate" in row else ""
         return reward + crashes

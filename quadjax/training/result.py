@@ -43,9 +43,9 @@ class Run:
         config: what was trained.
         folder: with ``config.yaml``, ``metrics.csv``, ``checkpoints/``, ``policy.npz``,
             ``policy_last.npz`` and ``summary.json``.
-        policy: the best one by lap time.
+        policy: the best one by ``run.score``.
         finished: whether all steps were trained; False after an interruption.
-        summary: what ``summary.json`` holds: steps, seconds, lap times in s, memory in MiB.
+        summary: what ``summary.json`` holds: steps, seconds, scores, memory in MiB.
     """
 
     config: Config
@@ -108,7 +108,8 @@ def write_summary(
 ) -> None:
     """Write ``summary.json`` of a run, ``finished`` if all steps were trained."""
     rows = saved_rows(folder / "metrics.csv")
-    scores = (run_state.best_score, rows[-1]["lap_total"] if rows else math.inf)
+    names = [f"best_{config.run.score_name}", config.run.score_name]
+    scores = (rows[-1][name] if rows else math.inf for name in names)
     best, last = (round(x, 3) if math.isfinite(x) else None for x in scores)
     summary = {
         "name": config.name,
@@ -117,12 +118,12 @@ def write_summary(
         "steps": run_state.steps,
         "devices": devices,
         "seconds": round(run_state.seconds, 1),
-        "best_lap_total": best,
+        "best_lap_total": None,
         "best_steps": run_state.best_steps,
-        "last_lap_total": last,
+        "last_lap_total": None,
         "peak_memory_mib": peak_memory_mib(),
         "provenance": provenance(config, folder / "policy.npz"),
-    }
+    } | {names[0]: best, f"last_{names[1]}": last}
     write_json(folder / "summary.json", summary)
 
 

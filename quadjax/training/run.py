@@ -59,7 +59,7 @@ def train(
     """Train a policy and write everything to a folder.
 
     Writes ``config.yaml`` with copies of the files that it names in ``inputs/``, ``metrics.csv``,
-    and at every checkpoint ``checkpoints/``, ``policy.npz`` (the best by lap time),
+    and at every checkpoint ``checkpoints/``, ``policy.npz`` (the best by ``run.score``),
     ``policy_last.npz`` and ``summary.json``. Ctrl-C saves and returns early.
 
     Args:
@@ -148,6 +148,7 @@ def _run(
         display.note(f"{folder}: no checkpoint to resume from, starting a new run")
     metrics = MetricsFile(folder, run_state.steps, job.config.run.tensorboard)
     saved, advise_at = time.monotonic(), max(ADVISE_AFTER * job.plan.steps, FEW_STEPS)
+    name, sign = job.config.run.score_name, -1.0 if job.config.run.score == "reward" else 1.0
     chunks = train_chunks(chunk, job.params, run_state.state, job.plan, run_state.steps)
     while not stop.is_set() and (progress := next(chunks, None)) is not None:
         laps = fly(progress.state.evaluated)
@@ -156,8 +157,8 @@ def _run(
             "steps": progress.steps,
             "seconds": run_state.seconds,
             "steps_per_second": progress.steps_per_second,
-            "lap_total": laps.score,
-            "best_lap_total": run_state.best_score,
+            name: sign * laps.score,
+            f"best_{name}": sign * run_state.best_score,
             **progress.row,
             **gap(job.config, laps),
         }

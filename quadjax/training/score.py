@@ -1,19 +1,23 @@
 """The flights by which a policy is scored during training, and advice where none is complete."""
 
+import dataclasses
 import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterable
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from quadjax.config.assembly import make_choices
 from quadjax.config.schema import Config
 from quadjax.learners.state import ActorCritic
 from quadjax.policy.inference import act_deterministic, act_sampled
+from quadjax.race import environment
+from quadjax.race import laps as flights
 from quadjax.race.laps import OUT_OF_TIME, Laps, fly_laps
 from quadjax.race.rules import TERMINATIONS
-from quadjax.race.types import RaceParams
+from quadjax.race.types import Choices, RaceParams
 from quadjax.training.build import network_policy
 
 FEW_STEPS = 4e6  # before which hardly any run completes a lap
@@ -27,7 +31,8 @@ OWN_RULE = "check rules.extra"
 def make_flights(config: Config, params: RaceParams) -> Callable[[ActorCritic], Laps]:
     """A function that flies the runs by which a policy is scored: ``Laps.score``.
 
-    They start from hover and apply the mean action or sampled ones (``run.score``).
+    They start from hover and apply the mean action or sampled ones, or are episodes of the mean
+    action from random starts (``run.score``).
     """
     choices, runs, race = make_choices(config), score_runs(config), config.evaluate
     act = act_sampled if config.run.score == "sampled" else act_deterministic
@@ -35,21 +40,43 @@ def make_flights(config: Config, params: RaceParams) -> Callable[[ActorCritic], 
     def fly(networks: ActorCritic) -> Laps:
         local = jax.device_put(jax.device_get(networks), jax.local_devices()[0])
         policy, key = network_policy(config, local), jax.random.key(0)
+        if config.run.score == "reward":
+            return _episodes(choices, params, policy, runs)
         return fly_laps(choices, params, act, policy, key, race.laps, runs, gates=race.gates)[0]
 
     return fly
+
+
+def _episodes(choices: Choices, params: RaceParams, policy: object, runs: int) -> Laps:
+    """Episodes of the mean action from random starts, until a crash or ``episode_steps``."""
+    params, key = environment.exact_rules(choices.model, params), jax.random.key(0)
+    states = flights.starting_states(choices, params, key, runs, from_hover=False)
+    steps, dt = int(params.training_limits.episode_steps), float(params.rules.time_step)
+    sizes = steps if params.track.closed else 1, steps, _rewards  # laps: more than there are
+    start = params, policy, states, key
+    flown, rewards = flights.fly_race(choices, act_deterministic, *sizes, *start)
+    laps = flights.laps_of(choices, flown, dt, steps * dt)
+    return dataclasses.replace(laps, reward=float(rewards.sum(axis=0).mean()))
+
+
+def _rewards(
+    choices: Choices, params: RaceParams, flown: flights.LapState, action: jax.Array
+) -> jax.Array:
+    """The reward (runs,) of the next step; 0 after the end of an episode."""
+    step = jax.vmap(lambda *x: environment.transition(choices, params, *x)[1], in_axes=(-1, 0))
+    return jnp.where(flown.over, 0.0, step(flown.state, action))
 
 
 def score_runs(config: Config) -> int:
     """Number of runs that a score is the mean of.
 
     One run where every run is the same; 16 where noise, disturbances or charges are drawn; 128
-    where constants are, because the drones of the flights differ.
+    where starts are random, or constants, because the drones of the flights differ.
     """
     disturbed = any(value > 0 for value in config.disturbance.half_widths.values())
     charge = (1.0, 1.0) if config.battery is None else config.battery.charge
     sampled = config.run.score == "sampled" or charge[0] < charge[1]
-    if make_choices(config).randomize:
+    if config.run.score == "reward" or make_choices(config).randomize:
         return 128
     return 16 if sampled or disturbed else 1
 

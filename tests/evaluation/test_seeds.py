@@ -12,10 +12,18 @@ from quadjax.evaluation.conditions import read_conditions
 from quadjax.evaluation.curves import COLORS, learning_figure, spread, training_figure
 from quadjax.evaluation.evaluate import Evaluation
 from quadjax.evaluation.rows import Row
-from quadjax.evaluation.training import COLUMNS, configs_of, evaluate_seed, format_seeds, train_once
+from quadjax.evaluation.training import (
+    COLUMNS,
+    configs_of,
+    evaluate_seed,
+    format_seeds,
+    train_once,
+    write_evaluation,
+)
 from quadjax.training.result import read_metrics
+from quadjax.training.run import train
 from tests.evaluation.support import flights
-from tests.surface.short import OF_EACH, OF_LEARNER
+from tests.surface.short import OF_EACH, OF_LEARNER, short_config
 
 TINY = [*OF_EACH, *OF_LEARNER["ppo"]]
 CONFIG = str(CONFIGS / "e2e_ppo.yaml")
@@ -38,6 +46,26 @@ def test_a_seed_is_trained_once_and_not_passed_off_as_another(tmp_path):
     for table in format_seeds([(numbers, flown)]).split("\n\n")[:2]:
         assert len({line.count("|") for line in table.splitlines()}) == 1
     assert numbers["reference"] is None and "at s |" not in table  # one lap has no published time
+
+
+@pytest.mark.slow
+def test_a_training_that_is_scored_by_the_reward(tmp_path):
+    run = train(short_config("e2e +hover", "evaluate.runs=3"), tmp_path, progress=False)
+    rewards, summary = run.metrics["episode_reward"], run.summary
+    assert len(set(rewards)) == 4 and "lap_total" not in run.metrics
+    np.testing.assert_array_equal(
+        run.metrics["best_episode_reward"], np.maximum.accumulate(rewards)
+    )
+    assert summary["best_episode_reward"] == pytest.approx(rewards.max(), abs=1e-3)
+    assert summary["last_episode_reward"] == pytest.approx(rewards[-1], abs=1e-3)
+    assert summary["best_steps"] == run.metrics["steps"][rewards.argmax()]
+    text = write_evaluation(run)
+    assert f"reward of an episode: best {summary['best_episode_reward']}" in text
+    numbers, flown = evaluate_seed(tmp_path, 2)
+    assert numbers["last"] == summary["last_episode_reward"] and [x.runs for x in flown.rows] == [2]
+    axes = learning_figure({"hover": [tmp_path]}).axes
+    assert axes[0].get_ylabel() == "reward of an episode"
+    np.testing.assert_array_equal(axes[0].lines[0].get_ydata(), rewards)
 
 
 def test_the_table_names_the_published_time():

@@ -23,7 +23,9 @@ ONE_TO_GO = np.linalg.norm(ref.GATES[1] - through(0, 0.03, 0.2))  # 3 cm beyond 
 def weights(**kept):
     """Weights of which all others are zero, but computed: one program for all."""
     zeros = dict.fromkeys((name for name in REWARDS if name != "action_change"), 0.0)
-    return as_leaves(Reward(**(zeros | {"gate_edge_reach": 1.0} | kept)), ["perception"])
+    return as_leaves(
+        Reward(**(zeros | {"gate_edge_reach": 1.0} | kept)), ["perception", "distance"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -43,6 +45,7 @@ def weights(**kept):
         ({"time": 6.0}, (-0.06, -0.06, -0.06)),
         ({"body_rates": 7.0}, (-0.07 * 1.5, -0.07 * 1.5, -0.07 * 1.5)),
         ({"pitch_up": 8.0}, (0.0, -0.08 * 0.3, 0.08 * 0.3)),
+        ({"distance": 9.0}, [-0.09 * x for x in (0.95, np.hypot(0.03, 0.2), np.hypot(0.03, 0.6))]),
     ],
 )
 def test_each_term_of_the_reward(kept, expected):
@@ -65,7 +68,8 @@ def test_each_term_of_the_reward(kept, expected):
 def test_default_reward_is_the_published_one():
     reward = make_race()[1].reward
     values = {name: getattr(reward, name) for name in REWARDS}
-    assert {name for name, x in values.items() if x is None} == {"action_change", "perception"}
+    unused = {name for name, x in values.items() if x is None}
+    assert unused == {"action_change", "perception", "distance"}
     assert {name: float(x) for name, x in values.items() if x} == {
         "progress": 1.0,
         "gate": 10.0,

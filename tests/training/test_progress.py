@@ -3,10 +3,14 @@
 import io
 import types
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
 
+from quadjax.config.assembly import make_params
+from quadjax.config.loading import load_config
+from quadjax.core.traced import with_leaves
 from quadjax.learners.loop import Progress
 from quadjax.race.laps import OUT_OF_TIME, Laps
 from quadjax.race.rules import TERMINATIONS
@@ -14,6 +18,7 @@ from quadjax.training import progress, score
 from quadjax.training.checkpoint import RunState
 from quadjax.training.progress import TrainingProgress, describe
 from quadjax.training.score import CHANGES, no_lap
+from tests.race.support import BLANK
 from tests.surface.short import short_config
 
 ROW = {
@@ -90,6 +95,20 @@ def test_the_flights_of_a_score(kind, count, monkeypatch):
     assert score.make_flights(config, params=None)(np.zeros(1)).score == 2.0
     expected = {"mean": score.act_deterministic, "sampled": score.act_sampled}
     assert calls == [(expected[kind], count)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("limit", "total"), [(1e3, 0.05), (0.01, 10.01)])
+def test_a_score_of_rewards(limit, total, monkeypatch):
+    """Of episodes of five steps, or of one step, which ends in a crash."""
+    monkeypatch.setattr(score, "act_deterministic", lambda policy, observation, noise: jnp.zeros(4))
+    monkeypatch.setattr(score, "network_policy", lambda config, networks: networks)
+    rewards = ["reward.time=1", "reward.progress=0", "start.velocity=0", "start.position=0"]
+    config = load_config(BLANK, ["run.score=reward", "training_limits.episode_steps=5", *rewards])
+    params = make_params(config)
+    params = params.replace(rules=with_leaves(params.rules, position_limit=np.float32(limit)))
+    laps = score.make_flights(config, params)(np.zeros(1))
+    assert laps.score == pytest.approx(total) and len(laps.crashes) == 128
 
 
 def test_the_best_policy_is_the_latest_of_equal_scores():
