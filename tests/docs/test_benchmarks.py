@@ -16,6 +16,6 @@ def test_size_of_the_residual_of_the_plant():
     name = "standin_residual"
     states = script["states_of"](PRETRAINED / "e2e_nominal.npz", "e2e")
     sizes = script["sizes"](*script["of_residual"](PRETRAINED / f"{name}.npz", states))
-    row = script["row"](name, sizes)
-    page = (ROOT / "docs" / "design" / "comparison.md").read_text(encoding="utf-8")
+    row = script["row"]("`standin`, fitted", sizes)
+    page = (ROOT / "docs" / "design" / "plant.md").read_text(encoding="utf-8")
     assert row in page.splitlines()
