@@ -145,7 +145,7 @@ def _shown(flown: "Flown", folder: Path, view: bool, source: str) -> int:
         print(f"Next: quadjax view {folder / STATES_FILE}")
     if setting.listen is None and setting.source.is_file():
         print(f"Then: quadjax export {source} --target {setting.target} --output out")
-    elif setting.listen is None:
+    elif setting.listen is None and not last.flight.crash:
         print(f"Then: copy the C of {setting.source} to the autopilot")
     return INTERRUPTED if last.flight.crash == STOPPED else 0
 
