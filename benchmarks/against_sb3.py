@@ -1,8 +1,7 @@
 """Train e2e_paper by quadjax and by Stable-Baselines3 for equal time or steps, one after the other.
 
-Both have the published hyperparameters, the same environment and one seed, and are evaluated after
-every update. The time of a side counts from the start of its process. Laps are of the mean action
-of the best policy, from hover. ``output`` gets the policies. Numbers: docs/design/results.md.
+Both have the same hyperparameters, environment and seed, and are evaluated after every update. Laps
+are of the mean action of the best policy, which ``output`` gets. Numbers: docs/design/results.md.
 
     python -m benchmarks.against_sb3 e2e_paper --seconds 900 --steps 2500000
 """
@@ -17,6 +16,7 @@ import numpy as np
 import quadjax
 from quadjax.cli import options, script
 from quadjax.config.assembly import make_race
+from quadjax.core.errors import InputError
 from quadjax.learners.parallel import prepare_devices
 from quadjax.training.build import untrained_policy
 from quadjax.training.score import score_runs
@@ -36,8 +36,8 @@ class Clock:
 
     def speed(self) -> float:
         """Steps per second from the end of the first update, if there are several, to the last."""
-        (began, first), (ended, last) = self.marks[len(self.marks) > 2], self.marks[-1]
-        return (last - first) / max(ended - began, 1e-9)
+        seconds, steps = np.subtract(self.marks[-1], self.marks[len(self.marks) > 2])
+        return steps / max(seconds, 1e-9)
 
 
 def by_sb3(config: quadjax.Config, clock: Clock, folder: Path) -> None:
@@ -49,8 +49,6 @@ def by_sb3(config: quadjax.Config, clock: Clock, folder: Path) -> None:
     untrained, runs = untrained_policy(config), score_runs(config)
 
     class Evaluation(BaseCallback):
-        """Evaluates the policy after each update, keeps the best, and reads the clock."""
-
         best, done = np.inf, False
 
         def _on_rollout_start(self) -> None:
@@ -58,8 +56,8 @@ def by_sb3(config: quadjax.Config, clock: Clock, folder: Path) -> None:
                 policy = sb3.policy_of_ppo(self.model, untrained)
                 score = quadjax.evaluate(policy, config, runs=runs, deterministic=True).laps.score
                 if score <= self.best:
-                    self.best = score
                     policy.save(folder / "policy.npz")
+                self.best = min(score, self.best)
                 print(f"{self.num_timesteps:,} steps, {score:.2f} s", flush=True)
                 self.done = clock.over(self.num_timesteps)
 
@@ -83,8 +81,8 @@ def train_side(
         quadjax.train(config, folder, enough=lambda row: clock.over(row["steps"]))
     laps = quadjax.evaluate(folder / "policy.npz", config, runs=1, deterministic=True).laps
     done, (ended, total) = int(laps.laps_completed()[0]), clock.marks[-1]
-    effort = f"{total / 1e6:.1f} | {ended - started:.0f} | {time.process_time():.0f}"
-    return f"| {side} | {clock.speed():,.0f} | {effort} | {done} in {laps.totals[0]:.2f} s |"
+    effort = f"{total / 1e6:.1f} | {ended - started:.0f} | {time.process_time():.0f} | {done} in"
+    return f"| {side} | {clock.speed():,.0f} | {effort} {laps.totals[0]:.2f} s |"
 
 
 def against_sb3(
@@ -97,6 +95,8 @@ def against_sb3(
 ) -> None:
     """Train a preset of PPO by each side, and print a table."""
     learner = quadjax.load(preset, changes).learner
+    if learner.algorithm != "ppo":
+        raise InputError(f"{preset} trains by {learner.algorithm}, allowed: presets of ppo")
     interval = f"run.evaluate_every={learner.num_envs * learner.rollout_length}"
     config = quadjax.load(preset, [*changes, interval])
     print("| side | steps/s | M steps | wall s | CPU s | laps |\n|---|---|---|---|---|---|")

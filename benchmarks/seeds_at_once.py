@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import quadjax
 from quadjax.cli import options, script
 from quadjax.config.assembly import make_choices
+from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
 from quadjax.learners.loop import train_chunks
 from quadjax.learners.parallel import repeat
@@ -73,6 +74,8 @@ def seeds_at_once(
     """Train the seeds of a preset together."""
     start, name = time.monotonic(), quadjax.load(preset, changes).name
     configs = [quadjax.load(preset, [*changes, f"seed={x}", f"name={name}_seed{x}"]) for x in seeds]
+    if configs[0].run.score == "reward":
+        raise InputError(f"{preset}: run.score is reward, allowed: mean, sampled")
     folders = [output / config.name for config in configs]
     for config, folder in zip(configs, folders, strict=True):
         with claim(folder, KIND, FILES):

@@ -8,6 +8,7 @@ number of repeats, and the measurements if not all, KIND:NAME:ENVIRONMENTS (``tr
 
 import multiprocessing
 import os
+import re
 import statistics
 import sys
 import timeit
@@ -99,6 +100,10 @@ def measure(kind: str, name: str, num_envs: int, repeats: int) -> str:
 
 if __name__ == "__main__":
     print(f"{os.cpu_count()} cores")
+    form = r"\d+( (environment|observed|training):\w+:\d+)*"
+    if sys.argv[1:] and not re.fullmatch(form, " ".join(sys.argv[1:])):
+        print("allowed: REPEATS and {environment|observed|training}:NAME:NUMBER", file=sys.stderr)
+        sys.exit(2)
     named = [word.split(":") for word in sys.argv[2:]]
     for job in [(kind, name, int(number)) for kind, name, number in named] or JOBS:
         with multiprocessing.get_context("spawn").Pool(1) as pool:
