@@ -15,9 +15,9 @@ from quadjax.evaluation.conditions import read_conditions
 from quadjax.evaluation.table import policy_table
 
 POLICIES = {  # by column: policy, and the disturbance that it observes
-    "without": ("e2e", "none"),
-    "zeros": ("e2e_adaptive", "none"),
-    "estimated": ("e2e_adaptive", "estimated"),
+    "without": ("e2e_residual", "none"),
+    "zeros": ("e2e_residual_disturbance", "none"),
+    "estimated": ("e2e_residual_disturbance", "estimated"),
 }
 
 

@@ -24,7 +24,7 @@ from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.report import response
 from quadjax.plant.config import load_plant_config
 
-FIRST = ("e2e_adaptive", "indi_shac")  # their flights are logged
+FIRST = ("e2e_residual_disturbance", "indi")  # their flights are logged
 FIT = ("logs.min_seconds=1", "logs.max_scale_error=0.5", "figures=false")
 SHORT = ("split.folds=3", "residual.mirror=off", "residual.seeds=3")  # a third of the time
 FULL = "schedules.vehicle.residual_gain=null"  # from the first step: the first policies fly without

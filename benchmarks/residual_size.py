@@ -2,7 +2,7 @@
 
 ``python -m benchmarks.residual_size [FILE.npz ...] [--plant NAME ...]`` prints what each residual,
 and the median of 40 drones of each plant, adds to the nominal model along one flight of six laps
-from hover (``e2e_nominal.npz``, mean action; another with ``--policy FILE --race CONFIG``): the
+from hover (``e2e.npz``, mean action; another with ``--policy FILE --race CONFIG``): the
 force along body z per mass in m/s^2 (down is positive) and the moments in N m.
 """
 
@@ -86,7 +86,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("files", nargs="*")
     parser.add_argument("--plant", nargs="+", default=[])
-    parser.add_argument("--policy", type=Path, default=PRETRAINED / "e2e_nominal.npz")
+    parser.add_argument("--policy", type=Path, default=PRETRAINED / "e2e.npz")
     parser.add_argument("--race", default="e2e")
     arguments = parser.parse_args()
     states = states_of(arguments.policy, arguments.race)

@@ -55,7 +55,7 @@ COLUMNS: dict[str, Callable[[Row], str]] = {
 TABLES = {  # of the page: rows and columns
     "presets": ("presets", "name|mean, s|sampled, s|hover|random starts"),
     "training": ("presets", "name|trained with|10^6 steps|noise|time"),
-    "shipped": ("shipped", "name|race|noise|mean|sampled|sampled, random"),
+    "shipped": ("shipped", "name|noise|mean|sampled|sampled, random"),
     "table1": ("table1", "policy|sampled, s|mean, s|hover|random starts"),
     "published": ("published", "name|noise|mean|sampled|mean, random|sampled, random"),
 }

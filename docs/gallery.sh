@@ -29,7 +29,7 @@ best figure8_tudelft e2e +fastest vehicle=5inch track=figure8_tudelft --seconds 
 best grand_challenge e2e +fastest vehicle=5inch track=grand_challenge --starts 1 --seconds 200
 
 view paper_track "E2E, INDI and the best known lap" \
-  e2e_fastest e2e_nominal indi "$laps/square4.npz" --laps 3 \
+  e2e_fastest e2e indi_fastest "$laps/square4.npz" --laps 3 \
   --name "E2E, time only" --name E2E --name INDI --name "best known lap"
 view figure8 "Figure eight: best known laps" "$laps/figure8.npz" "$laps/figure8_indi.npz" \
   --name "E2E best known" --name "INDI best known"
@@ -39,14 +39,13 @@ view figure8_tudelft "Figure eight of TU Delft: a 5-inch drone" \
 view grand_challenge "A2RL Grand Challenge: a 5-inch drone" \
   "$laps/grand_challenge.npz" --name "best known lap"
 
-[ -e "$laps/logs" ] || quadjax logs standin --policy e2e_nominal --policy indi_shac \
+[ -e "$laps/logs" ] || quadjax logs standin --policy e2e --policy indi \
   --flights 1 --laps 3 --output "$laps/logs"
-for policy in e2e_nominal:e2e indi_shac:indi; do
-  name=${policy%:*}
-  [ -e "$laps/$name.npz" ] || quadjax evaluate "${policy#*:}" --policy "$name" --deterministic \
+for name in e2e indi; do
+  [ -e "$laps/$name.npz" ] || quadjax evaluate "$name" --policy "$name" --deterministic \
     --runs 1 --laps 3 --states "$laps/$name.npz"
 done
-view plant "E2E and INDI: simulated and on the plant" "$laps/e2e_nominal.npz" \
-  "$laps/logs/e2e_nominal_0.csv" "$laps/indi_shac.npz" "$laps/logs/indi_shac_0.csv" \
+view plant "E2E and INDI: simulated and on the plant" "$laps/e2e.npz" \
+  "$laps/logs/e2e_0.csv" "$laps/indi.npz" "$laps/logs/indi_0.csv" \
   --logs standin --race e2e \
   --name "E2E simulated" --name "E2E plant" --name "INDI simulated" --name "INDI plant"

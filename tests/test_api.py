@@ -41,18 +41,18 @@ def test_every_public_name_exists_and_is_documented():
 @pytest.mark.slow
 def test_a_shipped_policy_is_evaluated(tmp_path):
     config = quadjax.load("e2e", ["evaluate.laps=1"])
-    laps = quadjax.evaluate(PRETRAINED / "e2e_nominal.npz", config, runs=3)
+    laps = quadjax.evaluate(PRETRAINED / "e2e.npz", config, runs=3)
     assert laps.lap_times.shape == (3, 1) and laps.finished == 3
     assert "sampled, 3 runs" in laps.table() and "3/3" in laps.table()
     assert np.all((laps.totals > 2.0) & (laps.totals < 4.0))
-    again = quadjax.evaluate(PRETRAINED / "e2e_nominal.npz", config, runs=3)
+    again = quadjax.evaluate(PRETRAINED / "e2e.npz", config, runs=3)
     np.testing.assert_array_equal(again.totals, laps.totals)
-    other = quadjax.evaluate(PRETRAINED / "e2e_nominal.npz", config, runs=3, seed=1)
+    other = quadjax.evaluate(PRETRAINED / "e2e.npz", config, runs=3, seed=1)
     assert not np.array_equal(other.totals, laps.totals)
     flown = laps.to_json()
     origin = flown["provenance"]
     assert flown["runs"] == 3 and origin["config"]["name"] == "e2e" and origin["seed"] == 0
-    assert origin["policy"]["file"].endswith("e2e_nominal.npz") and origin["policy"]["sha256"]
+    assert origin["policy"]["file"].endswith("e2e.npz") and origin["policy"]["sha256"]
     flight = laps.best
     assert flight.lap_ends[-1] == pytest.approx(np.nanmin(laps.totals), abs=0.011)
     laps.save_states(tmp_path / "states.npz")
@@ -68,14 +68,14 @@ def test_a_shipped_policy_is_evaluated(tmp_path):
 
 def test_wrong_arguments_are_one_line(tmp_path):
     (tmp_path / ".quadjax.json").write_text('{"kind": "sweep"}')
-    policy = PRETRAINED / "e2e_nominal.npz"
+    policy = PRETRAINED / "e2e.npz"
     for call, message in (
         (lambda: quadjax.evaluate(policy, "e2e", runs=2.5), "runs is 2.5, allowed: a whole number"),
         (lambda: quadjax.evaluate(policy, "e2e", start="moon"), "start is 'moon'"),
         (lambda: quadjax.SHAC(horizon=0), "SHAC: horizon is 0, allowed: greater than or eq"),
         (lambda: quadjax.train("e2e", tmp_path), "holds a sweep, not a run"),
         (lambda: quadjax.load("e2e_shak"), "e2e_shak"),
-        (lambda: quadjax.Policy.load("nominl.npz"), "nominl.npz: no such file, .* e2e_nominal"),
+        (lambda: quadjax.Policy.load("nominl.npz"), "nominl.npz: no such file, .* e2e_residual"),
     ):
         with pytest.raises(quadjax.InputError, match=message):
             call()

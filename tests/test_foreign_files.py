@@ -30,7 +30,7 @@ def foreign(tmp_path, monkeypatch):
     folder.mkdir()
     config = load_config("e2e").model_dump(mode="json", by_alias=True)
     config["vehicle"]["model"] = "foreign:MODEL"
-    policy = Policy.load(PRETRAINED / "e2e_nominal.npz")
+    policy = Policy.load(PRETRAINED / "e2e.npz")
     dataclasses.replace(policy, config=config).save(folder / "policy.npz")
     text = "base: e2e\nvehicle: {model: 'foreign:MODEL'}\n"
     (folder / "config.yaml").write_text(text)

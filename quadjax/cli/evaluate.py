@@ -98,7 +98,7 @@ def evaluate(
     FILE.npz, or flight logs (.csv, a glob pattern for several). DIR gets tables and
     figures as text, LaTeX, PDF, SVG and PNG. CONFIG is the race that was flown.
 
-    Example: quadjax evaluate e2e --policy e2e_nominal --laps 6 --figures lap
+    Example: quadjax evaluate e2e --policy e2e --laps 6 --figures lap
 
     Args:
         policy: Policy file, folder of a run, or name of a shipped policy; may be repeated.

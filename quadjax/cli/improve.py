@@ -46,7 +46,7 @@ def improve(
     it prints what they change in the model and fine-tunes the policy, without
     flying.
 
-    Example: quadjax improve e2e --policy e2e_nominal --rounds 3
+    Example: quadjax improve e2e --policy e2e --rounds 3
 
     Args:
         policy: Policy file with its critic, or a shipped one's name.

@@ -28,7 +28,7 @@ def logs(
     Each flight is written to DIR/POLICY_RUN.csv. PLANT is standin, rough, or exact: a
     drone with the training model's constants, no other effects and no sensor errors.
 
-    Example: quadjax logs standin --policy e2e_nominal --policy indi --output logs
+    Example: quadjax logs standin --policy e2e --policy indi --output logs
 
     Args:
         output: Folder of the logs.

@@ -42,7 +42,7 @@ def replay(
     do not act on the flight. DIR/NAME gets table.txt, replay.json and the figures
     trajectory, commands and prediction as PDF, SVG and PNG.
 
-    Example: quadjax replay logs/flight.csv --policy e2e --logs paparazzi
+    Example: quadjax replay logs/flight.csv --policy e2e_residual --logs paparazzi
     --vehicle runs/my_drone/vehicle.yaml
 
     Args:

@@ -129,4 +129,4 @@ def is_run(folder: Path) -> bool:
 
 def policy_names() -> list[str]:
     """Names of the shipped policies."""
-    return sorted(p.stem for p in PRETRAINED.glob("*.npz") if "residual" not in p.name)
+    return sorted({path.stem for path in PRETRAINED.glob("*.npz")} - {"standin_residual"})

@@ -29,8 +29,7 @@ from quadjax.flights.flight import AXES, MOTORS, RATES, Flight, Signal, motion_s
 
 STANDIN_LOGS = "standin_logs"
 STANDIN_HINT = (
-    "; simulate them: quadjax logs standin --policy e2e_nominal --policy indi_shac "
-    f"--output runs/{STANDIN_LOGS}"
+    f"; simulate them: quadjax logs standin --policy e2e --policy indi --output runs/{STANDIN_LOGS}"
 )
 SIGNALS = {  # of a flight: name, unit and labels by quantity
     "rpm_command": ("command", "rpm", MOTORS),

@@ -21,14 +21,14 @@ def here(tmp_path, monkeypatch):
 
 
 def test_a_folder_does_not_hide_a_shipped_name(here, monkeypatch, capsys):
-    for name in ("paparazzi", "e2e", "e2e_nominal", "square4"):
+    for name in ("paparazzi", "e2e", "e2e_residual", "square4"):
         (here / name).mkdir()
     assert load_fit_config("paparazzi").logs.format == "paparazzi"
     assert load_config("e2e", ["track=square4"]).name == "e2e"
-    assert find_policy("e2e_nominal") == PRETRAINED / "e2e_nominal.npz"
-    assert Policy.load("e2e").layers
+    assert find_policy("e2e") == PRETRAINED / "e2e.npz"
+    assert Policy.load("e2e_residual").layers
     stop(monkeypatch)
-    for command in (("view", "e2e_nominal"), ("evaluate", "--policy", "e2e_nominal")):
+    for command in (("view", "e2e"), ("evaluate", "--policy", "e2e")):
         assert run(*command) == 2
         assert "error: stopped" in capsys.readouterr().err
     with pytest.raises(InputError, match="is a directory"):
@@ -48,7 +48,7 @@ def stop(monkeypatch):
 def test_a_copy_of_a_run_without_its_hidden_file_is_viewed(here, monkeypatch, capsys):
     stop(monkeypatch)
     (here / "copy").mkdir()
-    shutil.copy(PRETRAINED / "e2e_adaptive.npz", here / "copy" / "policy.npz")
+    shutil.copy(PRETRAINED / "e2e_residual_disturbance.npz", here / "copy" / "policy.npz")
     for command in (("view", "copy"), ("evaluate", "--policy", "copy")):
         assert run(*command) == 2
         assert "error: stopped" in capsys.readouterr().err

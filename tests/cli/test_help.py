@@ -55,8 +55,8 @@ def unknown(example):
 
 
 def test_a_name_of_another_kind_is_unknown():
-    assert unknown("quadjax view e2e indi --race e2e_nominal") == ["e2e_nominal"]
-    assert unknown("quadjax train e2e_nominal track=nowhere --name x") == ["e2e_nominal", "nowhere"]
+    assert unknown("quadjax view e2e indi --race e2e_residual") == ["e2e_residual"]
+    assert unknown("quadjax train e2e_residual track=no") == ["e2e_residual", "no"]
     assert unknown("quadjax replay a/log.csv --policy e2e --logs px5") == ["px5"]
 
 

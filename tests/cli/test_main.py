@@ -39,7 +39,7 @@ def test_what_is_shipped_is_listed(capsys):
 
 
 SHOWN = {
-    "e2e_nominal.npz": "network 24-64-64-64-4, relu",
+    "e2e.npz": "network 24-64-64-64-4, relu",
     "figure8": "figure8: 6 gates, a lap of",
     "bebop1": "Parrot Bebop 1",
 }

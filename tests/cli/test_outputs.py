@@ -80,7 +80,7 @@ logs exact --policy e2e --output one | e2e_0.csv | --overwrite
 sweep learning_rate name=one --report --output . | report.md | --overwrite
 sweep learning_rate name=one --output . | trials | --overwrite
 replay log.csv --vehicle bebop1.yaml --name one --output . | replay.json | holds no replay, but
-sil indi_shac --name one --output . | sil.json | holds no flight, but
+sil indi --name one --output . | sil.json | holds no flight, but
 compare standin --name one --output . | compare.json | holds no comparison, but
 """.strip().splitlines()
 

@@ -107,6 +107,7 @@ def execute(notebook: nbformat.NotebookNode, folder: Path) -> None:
         startup_timeout=300,
         kernel_name="python3",
         record_timing=False,
+        coalesce_streams=True,  # a busy machine would split them
         resources={"metadata": {"path": str(folder)}},
     )
     # Level 3: no messages of XLA on slow compilations of a busy machine in the outputs.

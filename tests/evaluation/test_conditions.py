@@ -69,9 +69,9 @@ def test_a_list_that_cannot_be_used_is_refused(tmp_path, monkeypatch):
         text, message = row.split(" | ")
         Path("mine.yaml").write_text(text)
         with pytest.raises(InputError, match=f"^mine.yaml: .*{re.escape(message)}") as caught:
-            quadjax.evaluate("e2e_nominal", "e2e", conditions="mine.yaml")
+            quadjax.evaluate("e2e", "e2e", conditions="mine.yaml")
         with pytest.raises(InputError, match=re.escape(str(caught.value))):
-            quadjax.evaluate("e2e_nominal", "e2e", conditions=read_conditions("mine.yaml"))
+            quadjax.evaluate("e2e", "e2e", conditions=read_conditions("mine.yaml"))
 
 
 def test_a_condition_changes_the_simulated_drone_only():
@@ -158,9 +158,9 @@ def test_without_damage_it_is_the_model_and_other_models_have_none():
     listed = read_conditions("damage", ["rotor 1: 15% less thrust"])
     assert damaged(motor.MODEL, listed.conditions[0].damage).rotors == (0.85, 1, 1, 1)
     with pytest.raises(InputError, match="damage: the vehicle is rate, allowed: motor"):
-        quadjax.evaluate("indi_shac", "indi", conditions=listed, runs=1)
+        quadjax.evaluate("indi", "indi", conditions=listed, runs=1)
     with pytest.raises(InputError, match="from hover"):
-        quadjax.evaluate("e2e_nominal", "e2e", plant="standin", start="random", runs=1)
+        quadjax.evaluate("e2e", "e2e", plant="standin", start="random", runs=1)
 
 
 def test_flights_start_before_the_gates():
@@ -230,10 +230,10 @@ def test_only_the_policy_with_the_estimate_finishes_under_a_moment_and_with_dama
     listed = read_conditions("damage", labels)
     fly = {"deterministic": True, "runs": 2, "conditions": listed}
     races = {name: RACE.at("observation.disturbance", name) for name in ("estimated", "none")}
-    adaptive = quadjax.evaluate("e2e_adaptive", races["estimated"], **fly)
+    adaptive = quadjax.evaluate("e2e_residual_disturbance", races["estimated"], **fly)
     assert [row.finished for row in adaptive.rows] == [2, 2]
-    zeros = quadjax.evaluate("e2e_adaptive", races["none"], **fly)
-    without = quadjax.evaluate("e2e", races["none"], **fly)
+    zeros = quadjax.evaluate("e2e_residual_disturbance", races["none"], **fly)
+    without = quadjax.evaluate("e2e_residual", races["none"], **fly)
     assert [row.finished for row in zeros.rows] == [0, 2]
     assert [row.finished for row in without.rows] == [0, 0]
     assert adaptive.rows[1].total < zeros.rows[1].total - 1.0
@@ -273,7 +273,7 @@ def plants_flown(monkeypatch):
 @pytest.mark.slow
 def test_every_drawn_plant_has_its_own_noise_and_its_share_of_the_runs(plants_flown):
     numbers = {"plants": 2, "runs": 4, "laps": 1, "seed": 7}
-    flown = quadjax.evaluate("e2e_nominal", "e2e", plant="standin", **numbers)
+    flown = quadjax.evaluate("e2e", "e2e", plant="standin", **numbers)
     assert plants_flown == [(7, 2), (8, 2)]
     assert (flown.row.plants, flown.row.runs, len(flown.row.plant_totals)) == (2, 4, 2)
     assert flown.best["motor_command"].shape == (len(flown.best.time), 4)
@@ -281,7 +281,7 @@ def test_every_drawn_plant_has_its_own_noise_and_its_share_of_the_runs(plants_fl
 
 @pytest.mark.slow
 def test_on_a_plant_several_policies_fly_the_protocols_that_it_has(plants_flown, capsys):
-    policies = ("--policy", "e2e_nominal", "--policy", "indi_shac")
+    policies = ("--policy", "e2e", "--policy", "indi")
     assert run("evaluate", *policies, "--plant", "standin", "--laps", 1, "--runs", 2) == 0
     text = capsys.readouterr().out
     assert "| policy | mean | sampled |" in text and plants_flown == [(1, 2)] * 4
@@ -303,9 +303,9 @@ def test_a_policy_that_crashes_is_a_result_with_files_and_a_row_of_a_table(tmp_p
     for path in (*pictures, files["gif"]):
         with Image.open(path) as image:
             assert image.size[0] > 300
-    assert run("evaluate", "e2e", *policy, "--policy", "e2e_nominal") == 0
+    assert run("evaluate", "e2e", *policy, "--policy", "e2e") == 0
     text = capsys.readouterr().out
-    assert "| one | " in text and "| e2e_nominal | " in text
+    assert "| one | " in text and "| e2e | " in text
     result = json.loads(files["json"].read_text())
     assert [row["runs"] for row in result["flights"]] == [2] * 8
     assert result["provenance"]["config"]["name"] == "e2e"

@@ -21,7 +21,7 @@ from tests.commands import run
 from tests.fitting import racing_logs
 from tests.fitting.flights import random_residual
 
-POLICY = "e2e_nominal"
+POLICY = "e2e"
 
 
 def _log(path, flight, step):
@@ -123,11 +123,12 @@ def test_a_vehicle_is_flown_with_its_residual_and_another_drone_predicts_worse(
 @pytest.mark.slow
 def test_a_policy_replayed_on_its_own_log_observes_the_estimated_disturbance(tmp_path, capsys):
     """On the plant, whose effects the policy's model lacks; with zeros the RMS is up to 500 rpm."""
-    plant = ("standin", "--race", "e2e +residual +disturbance", "--policy", "e2e_adaptive")
+    policy = ("--policy", "e2e_residual_disturbance")
+    plant = ("standin", "--race", "e2e +residual +disturbance", *policy)
     logs = tmp_path / "logs"
     assert run("logs", *plant, "--flights", 1, "--laps", 2, "--output", logs) == 0
     (log,) = logs.glob("*.csv")
-    found = replayed(tmp_path, log, "--policy", "e2e_adaptive", "--logs", "paparazzi")
+    found = replayed(tmp_path, log, *policy, "--logs", "paparazzi")
     assert "external moment and force: estimated from the log" in capsys.readouterr().out
     np.testing.assert_allclose(found["lap_times"], [2.84, 2.41], atol=0.1)
     assert len(found["gate_times"]) == 8
@@ -167,7 +168,7 @@ def test_a_racing_quadcopter_without_rotor_speeds(tmp_path, capsys):
     for name, most in {"position": 0.02, "velocity": 0.1, "attitude": 1.5}.items():
         assert found["prediction"]["rms_error"][name][2] < most
     # A policy of another model: what it observes of the motors is not known.
-    assert run("replay", log, *options, "--policy", "e2e_nominal", "--output", tmp_path) == 2
+    assert run("replay", log, *options, "--policy", "e2e", "--output", tmp_path) == 2
     assert "the model motor has rpm (4), which no column" in capsys.readouterr().err
     replayed(tmp_path, log, *options, "--policy", "indi")
     text = capsys.readouterr().out

@@ -21,8 +21,8 @@ RACER = Path(__file__).parent / "racer.npz"  # of the 5-inch drone: no rotor spe
 PERIOD = 0.002  # s, of the plant's control loop
 SANITIZERS = "-std=c99 -fsanitize=address,undefined -fno-sanitize-recover=all -g -O1".split()
 GLUES = {  # policy, target, whether it flies on the plant, and faults of its links
-    "paparazzi": (PRETRAINED / "e2e_adaptive.npz", "cortex-a9", True, Faults()),
-    "paparazzi, rates": (PRETRAINED / "indi_shac.npz", "cortex-a9", True, Faults(drop=0.2)),
+    "paparazzi": (PRETRAINED / "e2e_residual_disturbance.npz", "cortex-a9", True, Faults()),
+    "paparazzi, rates": (PRETRAINED / "indi.npz", "cortex-a9", True, Faults(drop=0.2)),
     "indiflight": (RACER, "indiflight", False, Faults(late=0.2, delay=5 * PERIOD)),
     "px4": (RACER, "px4", False, Faults(late=0.2, delay=10 * PERIOD)),
     "crazyflie": (RACER, "crazyflie", False, Faults(drop=0.2)),

@@ -107,7 +107,7 @@ def test_an_observation_and_a_vehicle_of_a_user_have_no_c():
 
 def test_shipped_policies_for_other_races_are_refused(tmp_path):
     for policy, config, words in (
-        (PRETRAINED / "e2e.npz", "e2e", "standin_residual.npz in training, no residual"),
+        (PRETRAINED / "e2e_residual.npz", "e2e", "standin_residual.npz in training, no residual"),
         (PRETRAINED / "indi.npz", CONFIGS / "e2e.yaml", "e2e.yaml: indi.npz: .*=rate, .*=motor,"),
     ):
         with pytest.raises(InputError, match=words):
@@ -132,7 +132,7 @@ def test_rates_out_of_range_are_refused_before_anything_is_read(tmp_path):
 
 
 def test_a_residual_that_the_policy_names_is_in_its_race(tmp_path, no_flights):
-    exported = export_c(PRETRAINED / "e2e.npz", tmp_path / "c", allow_unfinished=True)
+    exported = export_c(PRETRAINED / "e2e_residual.npz", tmp_path / "c", allow_unfinished=True)
     assert exported.converted.race.residual is not None
     shipped = (PRETRAINED / "standin_residual.npz").read_bytes()
     assert Path(tmp_path / "c/residual.npz").read_bytes() == shipped

@@ -33,12 +33,12 @@ TRAININGS = {
     "SHAC, racing": ("e2e_race", ("vehicle=5inch", "track=figure8_tudelft")),
 }
 RACES = {  # shipped policy: the race it was trained in
-    "e2e": "e2e +residual",
-    "e2e_adaptive": "e2e +residual +disturbance",
+    "e2e_residual": "e2e +residual",
+    "e2e_residual_disturbance": "e2e +residual +disturbance",
     "e2e_fastest": "e2e +fastest",
-    "e2e_nominal": "e2e",
-    "indi": "indi +fastest",
-    "indi_shac": "indi",
+    "e2e": "e2e",
+    "indi_fastest": "indi +fastest",
+    "indi": "indi",
 }
 LIMITS = {
     "square4, Bebop E2E": ("e2e +fastest",),
@@ -179,9 +179,9 @@ def limits() -> Iterator[tuple[str, Record]]:
 
 def estimates() -> Iterator[tuple[str, Record]]:
     """States of the navigation filter in one flight on the plant, as its log has them."""
-    command("logs", "standin", "--policy", "e2e", "--flights", 1, "--laps", 2,
+    command("logs", "standin", "--policy", "e2e_residual", "--flights", 1, "--laps", 2,
             "--output", "logs")  # fmt: skip
-    columns = columns_of(Path("logs/e2e_0.csv"), re.compile("mode"))
+    columns = columns_of(Path("logs/e2e_residual_0.csv"), re.compile("mode"))
     yield "EKF", record(list(columns.values()), [column.mean() for column in columns.values()])
 
 

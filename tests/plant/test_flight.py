@@ -38,12 +38,12 @@ def flown(name: str, plant: PlantConfig):
 
 @pytest.fixture(scope="module")
 def e2e():
-    return flown("e2e.npz", PLANT)
+    return flown("e2e_residual.npz", PLANT)
 
 
 @pytest.fixture(scope="module")
 def indi():
-    return flown("indi_shac.npz", EXACT)
+    return flown("indi.npz", EXACT)
 
 
 @pytest.mark.slow
@@ -73,7 +73,7 @@ def test_a_policy_flies_a_lap_by_its_estimates(name, request):
 
 def test_the_race_is_the_policys_own():
     config = load_config("e2e +residual")
-    policy = Policy.load(PRETRAINED / "indi.npz")
+    policy = Policy.load(PRETRAINED / "indi_fastest.npz")
     race = race_config(config, policy)
     assert race.vehicle.model == "rate" and race.observation.disturbance == "ground_truth"
     limits = load_config("indi", ["vehicle.constants.thrust_max=20"])

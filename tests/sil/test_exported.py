@@ -39,7 +39,7 @@ SIZE = (DTYPES[Kind.STATE].itemsize - HEADER.itemsize) // 4 - 2  # floats of a s
 
 def on_the_plant(folder):
     """A shipped policy on the stand-in plant, with its own estimator."""
-    policy = Policy.load(PRETRAINED / "e2e_adaptive.npz")
+    policy = Policy.load(PRETRAINED / "e2e_residual_disturbance.npz")
     config, origin = race_of_policy(policy)
     race = policy_race(config, policy, origin)
     return converted_in(folder, policy, race, "cortex-a9", 512.0), load_plant_config("standin")
@@ -126,13 +126,13 @@ def test_lock_step_has_the_bits_of_the_same_c_in_this_process(
 @pytest.mark.slow
 def test_a_shipped_policy_flies_with_one_command(tmp_path, monkeypatch, capsys, short_races):
     monkeypatch.chdir(tmp_path)
-    assert run("sil", "indi_shac", "--laps", 1) == 0
+    assert run("sil", "indi", "--laps", 1) == 0
     printed, errors = capsys.readouterr()
     assert len(printed.splitlines()) == 9 and re.search(r"drone: .*, [\d,]+ steps\n", printed)
     begun = [line.partition(":")[0] for line in errors.splitlines()]
     assert len(begun) == len(set(begun)) and begun[-1] == "wrote runs/sil/"
-    assert "C that flies: indi_shac.qjp, paparazzi/" in printed and "glue of Paparazzi" in printed
-    following = "Next: quadjax view runs/sil/states.npz\nThen: quadjax export indi_shac --target "
+    assert "C that flies: indi.qjp, paparazzi/" in printed and "glue of Paparazzi" in printed
+    following = "Next: quadjax view runs/sil/states.npz\nThen: quadjax export indi --target "
     assert following in printed
     assert run("view", "runs/sil/states.npz", "--output", "page.npz") == 0
     assert len(load(tmp_path / "page.npz")) == 1

@@ -14,7 +14,7 @@ from tests.commands import run
 def exported(tmp_path_factory):
     """The folder of a shipped policy, exported by the command."""
     folder = tmp_path_factory.mktemp("c") / "one"
-    assert run("export", "e2e_nominal", "--output", folder, "--name", "policy") == 0
+    assert run("export", "e2e", "--output", folder, "--name", "policy") == 0
     return folder
 
 
@@ -31,7 +31,7 @@ def test_a_shipped_policy_is_exported_verified_and_flies(exported, tmp_path, mon
 
 @pytest.mark.slow
 def test_python_exports_the_same_files_as_the_command(exported, tmp_path):
-    quadjax.export_c(quadjax.Policy.load("e2e_nominal"), tmp_path / "two", name="policy")
+    quadjax.export_c(quadjax.Policy.load("e2e"), tmp_path / "two", name="policy")
     names = {p.relative_to(exported).as_posix() for p in exported.rglob("*.[ch]")}
     assert "paparazzi/policy.h" in names
     for name in names - {"paparazzi/policy.h"}:  # which has the hash of the policy file

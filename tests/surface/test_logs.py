@@ -18,7 +18,7 @@ def logs(tmp_path_factory):
     """Two logs of a drone with the constants of ``TRUTH``."""
     folder = tmp_path_factory.mktemp("logs")
     words = ("--flights", 1, "--laps", 3, "--output", folder)
-    assert run("logs", "exact", "--policy", "e2e_nominal", "--policy", "indi_shac", *words) == 0
+    assert run("logs", "exact", "--policy", "e2e", "--policy", "indi", *words) == 0
     return folder
 
 

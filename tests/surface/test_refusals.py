@@ -91,11 +91,11 @@ train e2e_ppo learner.num_envs=10 learner.num_minibatches=7 | num_minibatches
 train e2e --fine-tune bytes.npz | bytes.npz
 train e2e --fine-tune nosuch.npz | nosuch.npz
 evaluate e2e | --policy
-evaluate e2e --policy nosuch | nosuch e2e_nominal
-evaluate e2e --policy e2e_nominal track=nosuch | overrides: track: 'nosuch' square4
+evaluate e2e --policy nosuch | nosuch e2e_residual
+evaluate e2e --policy e2e track=nosuch | overrides: track: 'nosuch' square4
 evaluate e2e --policy e2e track.file=nosuch | overrides: track.file: 'nosuch'
 evaluate e2e --policy e2e --body 19 | --body 19 track.gates[0].size
-evaluate e2e --policy tracks | --policy tracks policy.npz run shipped e2e_nominal
+evaluate e2e --policy tracks | --policy tracks policy.npz run shipped e2e_residual
 logs standin --policy e2e constants.sede=3 --output new | constants.sede seed
 evaluate e2e --policy e2e --figures bytes.npz | bytes.npz folder
 evaluate e2e --policy bytes.npz | bytes.npz

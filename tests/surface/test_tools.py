@@ -71,11 +71,11 @@ def test_the_flights_of_policies_and_a_run_are_shown_in_a_browser(
     trained, tmp_path, monkeypatch, browser
 ):
     monkeypatch.chdir(tmp_path)
-    assert run("view", "e2e_nominal", trained, "--race", "e2e", "--laps", 1) == 0
+    assert run("view", "e2e", trained, "--race", "e2e", "--laps", 1) == 0
     with opened(browser, (tmp_path / "flights.html").as_uri(), offline=True) as page:
         wait_until(page.page, "quadjax.viewer.clock.time > 0.2")
         assert len(page.state(0.1)["drones"]) == 2
-        assert page.page.locator("tbody tr").first.inner_text().startswith("e2e_nominal")
+        assert page.page.locator("tbody tr").first.inner_text().startswith("e2e")
 
 
 RACING = (

@@ -73,6 +73,6 @@ def test_it_trains_and_evaluates_in_an_empty_folder(installed, tmp_path):
 
 
 def test_it_exports_in_an_empty_folder(installed, tmp_path):
-    done = run(installed, tmp_path, "-m", "quadjax", "export", "e2e_nominal", "--output", "c")
+    done = run(installed, tmp_path, "-m", "quadjax", "export", "e2e", "--output", "c")
     assert done.returncode == 0, done.stdout + done.stderr
     assert list((tmp_path / "c").rglob("qj_*.c"))

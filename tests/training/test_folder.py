@@ -66,7 +66,7 @@ COMMANDS = {
     "fit": ("fit", "{}", "--name", "one", "--output"),
     "sweep": ("sweep", "learning_rate", "name=one", "executor.workers=1", "--output"),
     "comparison": ("compare", "standin", "--name", "one", "--output"),
-    "export": ("export", PRETRAINED / "e2e.npz", "--output"),
+    "export": ("export", PRETRAINED / "e2e_residual.npz", "--output"),
 }
 
 
@@ -164,7 +164,7 @@ def test_a_run_keeps_the_files_of_its_config(tmp_path):
     (moved / "notes.txt").write_text("mine")
     assert prepare_folder(config, moved, resume=False, overwrite=True) == config
     assert (moved / "notes.txt").read_text() == "mine"
-    (moved / "inputs/residual.npz").write_bytes((PRETRAINED / "e2e.npz").read_bytes())
+    (moved / "inputs/residual.npz").write_bytes((PRETRAINED / "e2e_residual.npz").read_bytes())
     write_files(files)
     with pytest.raises(InputError, match="residual.npz differs from vehicle.residual"):
         check_same(load_config("e2e", overrides), moved)

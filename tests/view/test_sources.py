@@ -83,7 +83,7 @@ def test_a_run_shows_its_newest_policy_while_it_trains(tmp_path, monkeypatch):
     shown = []
     monkeypatch.setattr(sources, "fly", lambda path, *_: shown.append(path.name) or [])
     for name in ("policy.npz", "policy_last.npz"):
-        (tmp_path / name).write_bytes((PRETRAINED / "e2e_nominal.npz").read_bytes())
+        (tmp_path / name).write_bytes((PRETRAINED / "e2e.npz").read_bytes())
     load_flights(tmp_path)
     monkeypatch.setattr(sources, "is_finished", lambda folder: True)
     load_flights(tmp_path)
@@ -94,9 +94,9 @@ def test_a_run_shows_its_newest_policy_while_it_trains(tmp_path, monkeypatch):
 def test_policies_and_their_states_show_the_same_flight(tmp_path):
     states, page = tmp_path / "states.npz", tmp_path / "flights.npz"
     common = ("--laps", 1, "--runs", 1)
-    more = ("--policy", "e2e_nominal", "--deterministic", "--states", states)
+    more = ("--policy", "e2e", "--deterministic", "--states", states)
     assert run("evaluate", "e2e", *more, *common) == 0
-    assert run("view", "e2e_nominal", states, "--race", "e2e", *common, "--output", page) == 0
+    assert run("view", "e2e", states, "--race", "e2e", *common, "--output", page) == 0
     one, two = load(page)
     assert one.lap_ends == pytest.approx(two.lap_ends, abs=1e-9)
     np.testing.assert_allclose(one.passages, two.passages, atol=1e-9)
