@@ -7,6 +7,7 @@ import pytest
 from benchmarks import speed
 from benchmarks.drones import draw_drones, reachable
 from benchmarks.probe import quantities, r_squared
+from benchmarks.ship import median_of
 from benchmarks.tracks import read_best, words_of
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
@@ -27,6 +28,12 @@ def test_probes_of_known_inputs_have_the_known_r_squared():
     assert r_squared(drone, noisy, ratio) == pytest.approx(0.75, abs=0.03)
     assert abs(r_squared(drone, noise[2:].T, ratio)) < 0.02
     assert r_squared(drone, np.eye(1200)[drone], ratio) < 0.02  # it tells the fitted drones only
+
+
+def test_the_median_ships_unless_it_finishes_too_few_flights():
+    times = (13.9, 14.2, 13.8, 14.0, 14.05)
+    assert median_of(times, (1.0,) * 5) == 3
+    assert median_of(times, (1.0, 1.0, 1.0, 0.94, 0.95)) == 4
 
 
 def test_limits_of_the_commands_are_within_the_nominal_range():

@@ -59,20 +59,27 @@ def read() -> list[dict[str, Any]]:
     return json.loads(FILE.read_text()) if FILE.exists() else []
 
 
+def recorded(part: str) -> tuple[dict[str, Record], bool]:
+    """The records of a part, and whether this kind of machine wrote them, or only another one."""
+    documents = [document for document in read() if part in document["parts"]]
+    documents.sort(key=lambda document: document["machine"] != machine())
+    if not documents:
+        return {}, True
+    same = documents[0]["machine"] == machine()
+    if not same:
+        print(f"{part}: of {documents[0]['machine']}, values are compared within tolerances")
+    return {name: Record(**row) for name, row in documents[0]["parts"][part].items()}, same
+
+
 def compare(parts: list[str]) -> int:
     """Print every difference; the number of them."""
-    documents = read()
-    present = [document for document in documents if document["machine"] == machine()]
-    document = (present or documents)[0]
-    if not present:
-        print(f"written on {document['machine']}: values are compared within tolerances")
     count = 0
     for part in parts:
-        old = {name: Record(**row) for name, row in document["parts"].get(part, {}).items()}
+        old, same_machine = recorded(part)
         new = compute(part)
         for name in sorted(old.keys() | new.keys()):
             if name in old and name in new:
-                text = difference(part, old[name], new[name], bool(present))
+                text = difference(part, old[name], new[name], same_machine)
             else:
                 text = "missing now" if name in old else "not in the file"
             if text:

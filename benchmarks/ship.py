@@ -1,0 +1,48 @@
+"""Ship the median of the seeds of a preset: ``python -m benchmarks.ship ROW RUN...``.
+
+The runs are those of ``python -m benchmarks.results measure ROW RUN...``, in the same order. The
+policy that ships has the median time of the mean action, or, if it finishes fewer than 95 of 100
+sampled flights from random starts, the time nearest to the median of those that do. It becomes
+``quadjax/pretrained/PRESET.npz``, with the command of its training and the commit in its source.
+"""
+
+import dataclasses
+import json
+import shlex
+import statistics
+import sys
+from collections.abc import Sequence
+
+import quadjax
+from benchmarks.results import FILE
+from quadjax.core.resources import PRETRAINED
+
+LEAST = 0.95  # of the sampled flights from random starts
+
+
+def median_of(times: Sequence[float], rates: Sequence[float]) -> int:
+    """The index of the time nearest to the median, of the policies that finish often enough."""
+    median = statistics.median(times)
+    often = [index for index, rate in enumerate(rates) if rate >= LEAST]
+    return min(often, key=lambda index: abs(times[index] - median))
+
+
+def main(name: str, *folders: str) -> None:
+    """Write the policy and print its seed."""
+    data = json.loads(FILE.read_text(encoding="utf-8"))
+    (row,) = (row for row in data["presets"] if row["name"] == name)
+    runs = [quadjax.Run.load(folder) for folder in folders]
+    if [run.config.seed for run in runs] != row["seeds"]:
+        sys.exit(f"{name}: the seeds of the runs are not those of the row, {row['seeds']}")
+    finished = row["finished"]["sampled, random"]
+    index = median_of(row["total"]["mean"], [count / row["flights"] for count in finished])
+    policy, seed = runs[index].policy, row["seeds"][index]
+    command = shlex.join(["quadjax", "train", name, "run.devices=1", f"seed={seed}"])
+    source = policy.source | {"command": command, "commit": row["commit"]}
+    file = PRETRAINED / f"{name.replace(' +', '_')}.npz"
+    dataclasses.replace(policy, source=source).save(file)
+    print(f"{file.name}: seed {seed}; mean, s, of the seeds: {row['total']['mean']}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
