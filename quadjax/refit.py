@@ -149,7 +149,7 @@ def refit(
         logs=fit.logs.replace(files=tuple(str(file) for file in files)),
         body=fit.body.replace(rpm_range=ends),
     )
-    base = battery or BatteryConfig()
+    base = (battery or BatteryConfig()).filled(present.constants["rpm_max"])
     result = fit_drone(config, Path(), report, base)
     write_results(result, folder)
     motor = result.vehicle.motor

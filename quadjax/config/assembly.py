@@ -172,7 +172,7 @@ def _battery(config: Config, vehicle: VehicleParams) -> Battery | None:
     c, step = vehicle.constants, config.rules.time_step
     low, high = config.battery.charge
     return Battery(
-        cells=battery_params(config.battery, motor.hover_rpm(c)),
+        cells=battery_params(config.battery, motor.hover_rpm(c), c.rpm_max),
         charge=(jnp.float32(low), jnp.float32(high)),
         estimator=limit_estimator(c.rpm_max, c.tau, 1.0 / step),
         time_step=jnp.float32(step),

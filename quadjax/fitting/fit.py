@@ -237,7 +237,8 @@ class _Fits:
         if not isinstance(constants, MotorConstants):
             return [], None
         hover = float(np.sqrt(constants.g / (4.0 * constants.k_w)))
-        lag, limit = fit_battery(self.logs, hover, battery, rows, float(constants.tau))
+        base = battery.filled(float(constants.rpm_max))
+        lag, limit = fit_battery(self.logs, hover, base, rows, float(constants.tau))
         if "rate" not in self.vehicle.models:
             return [lag], limit
         rate: Any = self.vehicle.constants("rate")

@@ -170,6 +170,7 @@ class BatteryFit:
 
 def drain_of(battery: BatteryConfig) -> float:
     """Decrease of the highest speed per second of hover, rpm/s, by a battery's capacity."""
+    assert battery.rpm_full is not None
     part = battery.hover_current / (3600.0 * battery.capacity)
     return battery.rpm_full * battery.drop / battery.voltage * part
 
@@ -218,6 +219,7 @@ def fit_battery(
 
 
 def _fit_limit(parts: dict[str, Followed], tau: Parameter, base: BatteryConfig) -> Estimate:
+    assert base.rpm_full is not None
     flights = list(parts.values())
     sag = base.rpm_full * base.resistance * base.hover_current / base.voltage
     has_drain = max(part.used[-1] for part in flights) >= LEAST_USED

@@ -18,7 +18,7 @@ from quadjax.flights import flight as recorded
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flight import Frame, Plan, advance, begin
 from quadjax.plant.onboard import onboard_params
-from quadjax.plant.plant import build_plant
+from quadjax.plant.plant import build_plant, nominal_vehicle
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import fit_race, make_pilot
 from quadjax.race import laps
@@ -27,12 +27,14 @@ from quadjax.race.laps import Laps, time_limit
 from quadjax.race.layout import Layout
 from quadjax.race.track import GateSection
 from quadjax.vehicle.battery import middle_limit
+from quadjax.vehicle.motor import MotorConstants, hover_rpm
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.rate import RateCommand
 
 CHUNK_SECONDS = 1.0  # of flight between checks for the end
 PARTS = ("vehicle", "track", "battery")  # sections of a stored config that describe the drone
 SAME_STEP = 1e-6  # relative difference of time steps that count as equal
+SAME_HOVER, SAME_TURN = 1.25, 2.0  # factors, up to which two drones count as the same
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,11 +70,13 @@ def plan_race(
         deterministic: apply the mean action rather than samples.
 
     Raises:
-        InputError: a policy that does not fit, or files that cannot be read.
+        InputError: a policy that does not fit or is of another drone, or files that cannot be
+            read.
     """
     choices, params = fit_race(*race_of(race_config(config, policy)), policy, name)
     params = exact_rules(choices.model, params)
     model = make_vehicle(config.replace(vehicle=config.vehicle.with_model("motor")))
+    check_drone(plant, model.constants)
     first_limit = None if params.battery is None else middle_limit(params.battery)
     low, high = plant.battery.charge
     return Plan(
@@ -121,6 +125,32 @@ def plan_logs(
     return plan_race(
         config, plant, network, str(policy), lap_count=laps, runs=flights, recorded=flights
     )
+
+
+def check_drone(plant: PlantConfig, model: MotorConstants) -> None:
+    """Check that the plant is a drone of the kind that a policy was trained for.
+
+    A fit to flights of a drone, damage and another payload change the speed of its hover and its
+    angular acceleration by less than ``SAME_HOVER`` and ``SAME_TURN``.
+
+    Args:
+        plant: of the plant.
+        model: the constants of the training.
+
+    Raises:
+        InputError: another drone.
+    """
+    vehicle = nominal_vehicle(plant)
+    drones = (vehicle.motor, model)
+    hover = [float(hover_rpm(c)) for c in drones]  # rpm
+    turn = [float(c.k_p / c.i_xx) * speed**2 for c, speed in zip(drones, hover, strict=True)]
+    for (here, there), factor in ((hover, SAME_HOVER), (turn, SAME_TURN)):
+        if not 1.0 / factor <= here / there <= factor:
+            raise InputError(
+                f"the plant {plant.name} is a {vehicle.name}, which hovers at {hover[0]:.0f} rpm; "
+                f"the policy is of another drone, which hovers at {hover[1]:.0f} rpm: name its "
+                "file, vehicle=FILE, or a plant's config with base: plant/standin and vehicle: FILE"
+            )
 
 
 def check_steps(layout: Layout, training_step: float, step: float) -> None:

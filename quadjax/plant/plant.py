@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from quadjax.core.errors import InputError
 from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body, wrap_angle
 from quadjax.core.integrators import rk4_step
 from quadjax.core.materialize import Caller, call_directly
@@ -37,6 +38,7 @@ from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
 
 NOT_DRAWN = ("g", "rpm_min", "rpm_max")  # constants without deviation
+BEBOP_RADIUS, BEBOP_MASS, BEBOP_K_W = 0.07, 0.389, 4.36301076e-08  # m, kg, m/s^2/rpm^2
 
 
 class PlantParams(struct.PyTreeNode):
@@ -88,12 +90,34 @@ def nominal_vehicle(config: PlantConfig) -> VehicleFile:
     return read_vehicle(config.vehicle)
 
 
+def filled(config: PlantConfig) -> PlantConfig:
+    """The config with mass, propellers and battery of its vehicle where they are None.
+
+    The propellers have the thrust coefficient of the Bebop 1's, 0.13.
+
+    Raises:
+        InputError: a vehicle file that cannot be read, or that has no mass.
+    """
+    vehicle, motors = nominal_vehicle(config), nominal_vehicle(config).motor
+    mass = config.mass or vehicle.mass
+    if mass is None:
+        raise InputError(f"{vehicle.path}: mass is missing, which the plant needs; allowed: kg")
+    newtons = mass * motors.k_w / (BEBOP_MASS * BEBOP_K_W)  # per rpm^2, of the Bebop's
+    radius = config.rotors.radius or BEBOP_RADIUS * newtons**0.25
+    return config.replace(
+        mass=mass,
+        rotors=config.rotors.replace(radius=radius),
+        battery=config.battery.filled(motors.rpm_max),
+    )
+
+
 def build_plant(config: PlantConfig) -> PlantParams:
     """The plant's numbers.
 
     Raises:
         InputError: a vehicle or residual file that cannot be read.
     """
+    config = filled(config)
     residual = None if config.residual is None else read_residual(config.residual)
     nominal = nominal_vehicle(config).motor
     factors, rotor_factors = drawn_factors(config)
@@ -112,7 +136,7 @@ def build_plant(config: PlantConfig) -> PlantParams:
         flex=as_leaves(config.flex),
         imu=as_leaves(config.imu),
         gusts=as_leaves(config.gusts),
-        battery=battery_params(config.battery, hover, effects.battery),
+        battery=battery_params(config.battery, hover, nominal.rpm_max, effects.battery),
         mass=jnp.float32(config.mass),
         hover=jnp.float32(hover),
         step=jnp.float32(1.0 / rate),

@@ -1,6 +1,6 @@
 """The battery: its charge, the highest propeller speed, and the onboard estimate of that."""
 
-from typing import Annotated
+from typing import Annotated, Self
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,13 @@ class BatteryConfig(Section):
     charge: Annotated[tuple[Fraction, Fraction], ORDERED] = Field(
         (0.6, 1.0), description="lowest, highest at the start"
     )
-    rpm_full: Positive = Field(12000.0, description="rpm at the full voltage")
+    rpm_full: Positive | None = Field(
+        None, description="rpm at the full voltage (default: 12/11 of rpm_max; assumed)"
+    )
+
+    def filled(self, rpm_max: float) -> Self:
+        """With its ``rpm_full`` in a drone whose highest command is ``rpm_max``, rpm."""
+        return self if self.rpm_full else self.replace(rpm_full=12.0 * rpm_max / 11.0)
 
 
 class BatteryParams(struct.PyTreeNode):
@@ -42,15 +48,15 @@ class BatteryParams(struct.PyTreeNode):
 
 
 def battery_params(
-    config: BatteryConfig, hover_rpm: Scalar, strength: float = 1.0
+    config: BatteryConfig, hover_rpm: Scalar, rpm_max: Scalar, strength: float = 1.0
 ) -> BatteryParams:
-    """The numbers of a battery in a drone that hovers at ``hover_rpm``."""
+    """The numbers of a battery in a drone with these speeds in hover and at most, rpm."""
     numbers = {
         "strength": strength,
         "drop": config.drop / config.voltage,
         "resistance": config.resistance * config.hover_current / config.voltage,
         "drain": config.hover_current / (3600.0 * config.capacity),
-        "rpm_full": config.rpm_full,
+        "rpm_full": config.filled(float(rpm_max)).rpm_full,
         "hover": hover_rpm,
     }
     return BatteryParams(**{name: jnp.asarray(x, jnp.float32) for name, x in numbers.items()})

@@ -14,7 +14,7 @@ from quadjax.refit import Model, changes
 from quadjax.vehicle.battery import BatteryConfig, battery_params, highest_rpm
 
 HOVER, HIGHEST, TAU, RATE = 7500.0, 11000.0, 0.05, 200.0
-BATTERY = BatteryConfig()
+BATTERY = BatteryConfig().filled(11000.0)
 
 
 def fit_battery(logs, hover, base):
@@ -75,7 +75,7 @@ def test_the_battery_of_the_race_has_the_limits_of_the_flights():
     found = fit_battery([flight(0.9, 1), flight(0.7, 2)], HOVER, BATTERY)
     section = found.section(BATTERY)
     assert 0.5 < section.charge[0] < 0.7 and section.charge[1] == 1.0
-    cells = battery_params(section, HOVER)
+    cells = battery_params(section, HOVER, HIGHEST)
     for load in (1.0, 2.0):
         speeds = Rotors.same(jnp.float32(HOVER * load ** (1.0 / 3.0)))
         best = float(highest_rpm(cells, speeds, jnp.float32(0.9)))

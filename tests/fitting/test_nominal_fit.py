@@ -82,7 +82,7 @@ def samples_of(logs, constants):
 def lag_of(logs, tau):
     """The motors' lag, without a battery's limit."""
     rows = [airborne(log) for log in logs]
-    return fit_battery(logs, 7500.0, BatteryConfig(), rows, tau)[0]
+    return fit_battery(logs, 7500.0, BatteryConfig().filled(11000.0), rows, tau)[0]
 
 
 @pytest.fixture(scope="module")

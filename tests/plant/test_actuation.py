@@ -49,7 +49,7 @@ def test_the_battery_lowers_what_can_be_reached():
     found = float(battery.highest_rpm(p, rpm, jnp.float32(0.7)))
     current = b.hover_current * (9000.0 / np.sqrt(9.81 / (4.0 * ref.MOTOR["k_w"]))) ** 3
     volts = b.voltage - b.drop * 0.3 - b.resistance * current
-    assert found == pytest.approx(b.rpm_full * volts / b.voltage, rel=1e-5)
+    assert found == pytest.approx(12000.0 * volts / b.voltage, rel=1e-5)
     rate = float(battery.charge_rate(p, rpm))
     assert rate == pytest.approx(-current / 3600 / b.capacity, rel=1e-5)
     none = build_plant(OFF).battery

@@ -7,10 +7,10 @@ import pytest
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant.airframe import airframe_force_moment, draw_airframe
 from quadjax.plant.config import AirframeConfig, load_plant_config
-from quadjax.plant.plant import nominal_vehicle
+from quadjax.plant.plant import filled, nominal_vehicle
 from quadjax.vehicle.motor import nominal_force, nominal_moment
 
-ROUGH = load_plant_config("rough")
+ROUGH = filled(load_plant_config("rough"))
 PLACES = np.array([[1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 0]])  # of rotors 1 to 4, in arms
 
 

@@ -1,6 +1,7 @@
 """Races on the stand-in plant: both policies, their observations, and their logs."""
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -25,6 +26,7 @@ from quadjax.vehicle.registry import MODELS
 from tests.evaluation.support import random_policy
 
 PLANT = load_plant_config(CONFIGS / "plant" / "standin.yaml")
+DRONE = Path(__file__).parents[2] / "examples" / "03_drone.yaml"
 EXACT = PLANT.replace(navigation="ground_truth")
 HISTORY = "{fields: [rates, rpm, last_action], steps: 2, every: 1}"
 
@@ -81,6 +83,19 @@ def test_the_race_is_the_policys_own():
     assert race_config(config, own).vehicle.constants["thrust_max"] == 20.0
     widths = random_policy(observation={"disturbance": {"moment_x": 0.03}})
     assert not any(race_config(config, widths).disturbance.half_widths.values())
+
+
+def test_a_policy_of_another_drone_is_refused():
+    config = load_config("e2e", [f"vehicle={DRONE}"])
+    policy = untrained_policy(config)
+    with pytest.raises(InputError, match="is a Parrot Bebop 1, .* 7497 rpm.* 12500 rpm: .*vehicle"):
+        plan_race(config, PLANT, policy)
+    plan_race(config, PLANT.replace(vehicle=str(DRONE)), policy)
+    heavy = load_config("e2e", ["vehicle.constants.k_w=3.5e-8"])  # by a quarter
+    plan_race(heavy, PLANT, untrained_policy(heavy))
+    weak = load_config("e2e", ["vehicle.constants.i_xx=0.003"])
+    with pytest.raises(InputError, match="another drone"):
+        plan_race(weak, PLANT, untrained_policy(weak))
 
 
 def with_history(plant):

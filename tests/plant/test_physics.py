@@ -1,17 +1,19 @@
 """The stand-in plant's physics: the training model with all off, and each effect as its source."""
 
 import functools
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts, plant
 from quadjax.plant.airframe import airframe_force_moment
 from quadjax.plant.config import PlantConfig, load_plant_config, without_effects
-from quadjax.plant.plant import build_plant, drawn_factors
+from quadjax.plant.plant import build_plant, drawn_factors, filled
 from quadjax.vehicle.residual import read_residual, residual_force_moment
 from tests import reference as ref
 from tests.convert import command_of, rows_of, state_of, vec3
@@ -19,6 +21,7 @@ from tests.plant import effects_reference as source
 from tests.plant.support import OFF, only
 
 COUNT = 200
+DRONE = Path(__file__).parents[2] / "examples" / "03_drone.yaml"
 
 
 def physics_of(rows: np.ndarray, charge: float = 1.0) -> plant.Physics:
@@ -105,8 +108,25 @@ def test_the_plants_forces_have_its_airframe_and_its_residual(rows):
     np.testing.assert_allclose(added(params, build_plant(rough)), expected, rtol=1e-3, atol=2e-5)
 
 
-ROTORS = PlantConfig().rotors.model_dump() | {
-    "mass": PlantConfig().mass,
+def test_mass_propellers_and_battery_of_another_drone_are_those_of_its_file(tmp_path):
+    config = load_plant_config("standin", [f"vehicle={DRONE}"])
+    assert filled(PlantConfig()).rotors.radius == 0.07
+    complete = filled(config)
+    assert complete.mass == 0.6 and complete.battery.rpm_full == pytest.approx(25000 * 12 / 11)
+    thrust, turns = 0.6 * 1.5696e-08, 1.0 / 60.0  # N of a rotor, turns a second, at 1 rpm
+    coefficient = thrust / (1.225 * turns**2 * (2.0 * complete.rotors.radius) ** 4)
+    assert coefficient == pytest.approx(0.13, abs=0.001)
+    assert complete.rotors.radius == pytest.approx(0.0635, rel=0.06)  # 5 inch
+    given = filled(config.replace(mass=0.7, rotors=config.rotors.replace(radius=0.0635)))
+    assert given.mass == 0.7 and given.rotors.radius == 0.0635
+    light = tmp_path / "light.yaml"
+    light.write_text(DRONE.read_text().replace("mass:", "# mass:"))
+    with pytest.raises(InputError, match="light.yaml: mass is missing"):
+        filled(config.replace(vehicle=str(light)))
+
+
+ROTORS = filled(PlantConfig()).rotors.model_dump() | {
+    "mass": 0.389,
     "ground": effects.GROUND_DISCS,
     "lock_number": effects.LOCK_NUMBER,
     "hub_stiffness": effects.HUB_STIFFNESS,

@@ -37,6 +37,15 @@ from tests.sil.support import Counting
 SIZE = (DTYPES[Kind.STATE].itemsize - HEADER.itemsize) // 4 - 2  # floats of a state
 
 
+@pytest.mark.parametrize("crash", ["", "ground"])
+def test_c_that_crashed_is_not_to_be_copied(crash, tmp_path, capsys):
+    flight = SimpleNamespace(time=[0.0], crash=crash)
+    race, setting = SimpleNamespace(flight=flight, gone=None), Setting(tmp_path, None)
+    flown = SimpleNamespace(setting=setting, races=[race])
+    assert command._shown(flown, tmp_path, False, "e2e") == 0
+    assert ("copy the C" in capsys.readouterr().out) is not bool(crash)
+
+
 def on_the_plant(folder):
     """A shipped policy on the stand-in plant, with its own estimator."""
     policy = Policy.load(PRETRAINED / "e2e_residual_disturbance.npz")
