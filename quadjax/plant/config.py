@@ -57,8 +57,8 @@ class EffectsConfig(Section):
 class RotorConfig(Section):
     """Aerodynamics of the rotors."""
 
-    radius: Positive | None = Field(
-        None, description="m (default: that of the vehicle's thrust at a coefficient of 0.13)"
+    radius: NonNegative = Field(
+        0.0, description="m; 0: that of the vehicle's thrust at a coefficient of 0.13"
     )
     height: NonNegative = Field(0.02, description="m above the center of gravity; assumed")
     advance_loss: NonNegative = Field(1.2, description="c of C_T = C_T0 (1 - c J^2)")

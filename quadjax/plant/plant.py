@@ -91,7 +91,7 @@ def nominal_vehicle(config: PlantConfig) -> VehicleFile:
 
 
 def filled(config: PlantConfig) -> PlantConfig:
-    """The config with mass, propellers and battery of its vehicle where they are None.
+    """The config with mass, propellers and battery of its vehicle where they are not set.
 
     The propellers have the thrust coefficient of the Bebop 1's, 0.13.
 
@@ -107,7 +107,7 @@ def filled(config: PlantConfig) -> PlantConfig:
     return config.replace(
         mass=mass,
         rotors=config.rotors.replace(radius=radius),
-        battery=config.battery.filled(motors.rpm_max),
+        battery=config.battery.filled(float(motors.rpm_max)),
     )
 
 
