@@ -110,7 +110,7 @@ def conditions_page() -> str:
 
 def observation_page() -> str:
     """The fields that policies of every vehicle model can observe."""
-    from quadjax.race.layout import Observation
+    from quadjax.race.observation_config import Observation
     from quadjax.race.observations import make_layout
     from quadjax.vehicle.registry import MODELS
 

@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 
 from quadjax.config.schema import Config, Schedule
 from quadjax.core.errors import InputError, close_match, prefixed, short
-from quadjax.core.sections import BadValue, fields_at, refuse, value_at
+from quadjax.core.section_keys import fields_at, value_at
+from quadjax.core.sections import BadValue, refuse
 from quadjax.race.layout import LONGEST
 from quadjax.race.observations import ACTUATORS, history_names
 from quadjax.vehicle.constants import declarations

@@ -12,7 +12,8 @@ from quadjax.config.schema import Config, Rules, Vehicle
 from quadjax.core.errors import InputError, close_match, prefixed
 from quadjax.core.imports import load_object
 from quadjax.core.resources import find_config
-from quadjax.core.sections import BadValue, Code, fields_at, one_line_errors, refuse, validate
+from quadjax.core.section_keys import fields_at
+from quadjax.core.sections import BadValue, Code, one_line_errors, refuse, validate
 from quadjax.core.yaml_files import Sources, Tree, merge_layers, merge_trees
 from quadjax.learners.ppo import PPO
 from quadjax.learners.section import LearnerSection

@@ -3,8 +3,11 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from pydantic import BaseModel
+
 from quadjax.config.schema import Config
-from quadjax.core.sections import Section, is_section
+from quadjax.core.section_keys import is_section
+from quadjax.core.sections import Section
 from quadjax.core.yaml_files import to_yaml
 
 BOUNDS = {  # of a JSON schema
@@ -30,7 +33,7 @@ class KeyInfo(NamedTuple):
     description: str
 
 
-def describe(schema: type[Section], prefix: str = "") -> list[KeyInfo]:
+def describe(schema: type[BaseModel], prefix: str = "") -> list[KeyInfo]:
     """Every key of a section and of those in it, in order, for help and reference pages."""
     keys: list[KeyInfo] = []
     document = schema.model_json_schema()
@@ -71,11 +74,14 @@ def _number(bound: Any) -> str:
     return text.replace("e+0", "e").replace("e+", "e") if exact else str(bound)
 
 
-def commented_yaml(config: Config) -> str:
-    """A config as YAML with the description of each key on the line above it."""
-    keys = describe(Config) + describe(type(config.learner), "learner.")
+def commented_yaml(config: Section) -> str:
+    """A config of any kind as YAML with the description of each key on the line above it."""
+    tree, keys, units = config.model_dump(by_alias=True), describe(type(config)), {}
+    if isinstance(config, Config):
+        tree, units = config.to_tree(), config.race_units
+        keys += describe(type(config.learner), "learner.")
     comments = {info.key: f"{info.description} [{info.allowed}]" for info in keys}
-    for location, (text, number) in config.race_units.items():
+    for location, (text, number) in units.items():
         key = ".".join(step for step in location if isinstance(step, str))
         comments[key] = f"{comments.get(key, '')} {text}: {number:g}".lstrip()
-    return to_yaml(config.to_tree(), comments)
+    return to_yaml(tree, comments)

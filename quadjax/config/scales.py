@@ -14,16 +14,8 @@ from typing import Any
 import numpy as np
 
 from quadjax.config.schema import Config, Location, Rules, Vehicle, WithUnit
-from quadjax.core.sections import (
-    LARGEST,
-    BadValue,
-    Section,
-    dotted,
-    fields_at,
-    refuse,
-    unit_of,
-    validate,
-)
+from quadjax.core.section_keys import dotted, fields_at
+from quadjax.core.sections import LARGEST, BadValue, Section, refuse, unit_of, validate
 from quadjax.core.yaml_files import Tree
 from quadjax.race.track import TrackSection
 from quadjax.vehicle.registry import base_model

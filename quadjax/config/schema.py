@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import PrivateAttr, SerializeAsAny
 
 from quadjax.core.errors import InputError
+from quadjax.core.section_keys import with_value
 from quadjax.core.sections import (
     MAX_GATES,
     MAX_LAPS,
@@ -24,7 +25,7 @@ from quadjax.learners.ppo import PPO
 from quadjax.learners.schedules import Curriculum, Schedule
 from quadjax.learners.section import LearnerSection, Network
 from quadjax.race.draws import Disturbance, Randomization, Start
-from quadjax.race.layout import Observation
+from quadjax.race.observation_config import Observation
 from quadjax.race.rewards import Reward
 from quadjax.race.rules import Rules, TrainingLimits
 from quadjax.race.track import TrackSection
@@ -33,6 +34,11 @@ from quadjax.vehicle.battery import BatteryConfig
 Constant = Annotated[float, Field(ge=-1e9, le=1e9)]
 Devices = Annotated[int, Field(ge=1, le=4096)]
 Location = tuple[str | int, ...]  # of a value in a tree: keys, and indices of lists
+SCORE_NAMES = {  # columns of metrics.csv, by ``run.score``
+    "mean": "lap_total",
+    "sampled": "lap_total",
+    "reward": "episode_reward",
+}
 WithUnit = dict[Location, tuple[str, float | int]]  # numbers in units of the race: text, number
 
 
@@ -153,7 +159,7 @@ class Run(Section):
     @property
     def score_name(self) -> str:
         """The column of the score in ``metrics.csv``."""
-        return "episode_reward" if self.score == "reward" else "lap_total"
+        return SCORE_NAMES[self.score]
 
 
 class Evaluate(Section):
@@ -221,12 +227,8 @@ class Config(Section):
         return isinstance(other, Config) and self.__dict__ == other.__dict__
 
     def at(self, key: str, value: Any) -> Self:
-        """The config with another value at a dotted key; only the field is checked.
-
-        Raises:
-            InputError: no such key, or a value that is not allowed.
-        """
-        return _at(self, key.split("."), value)
+        """The config with another value at a dotted key; see ``with_value``."""
+        return with_value(self, key, value)
 
     def replace(self, **changes: Any) -> Self:
         """A changed copy, as ``Section.replace``; it keeps its units if the race has the same."""
@@ -266,12 +268,3 @@ def _written(node: Any, location: Location, numbers: WithUnit) -> Any:
         return [_written(item, (*location, index), numbers) for index, item in enumerate(node)]
     text, number = numbers.get(location, (None, None))
     return node if text is None or node != number else text
-
-
-def _at(node: Section | dict[str, Any], parts: list[str], value: Any) -> Any:
-    head, rest = parts[0], parts[1:]
-    if isinstance(node, dict):
-        return {**node, ".".join(parts): value}
-    if rest:
-        value = _at(getattr(node, head, {}), rest, value)
-    return node.replace(**{head: value})

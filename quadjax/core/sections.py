@@ -33,7 +33,7 @@ import typing
 from collections.abc import Iterator, Mapping, Sequence
 from numbers import Integral
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, Self, TypeGuard, TypeVar
+from typing import Annotated, Any, NoReturn, Self, TypeVar
 
 import pydantic
 from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
@@ -42,6 +42,7 @@ from pydantic_core import PydanticCustomError
 
 from quadjax.core.errors import InputError, close_match, short
 from quadjax.core.resources import find_config
+from quadjax.core.section_keys import dotted, fields_at
 from quadjax.core.yaml_files import Layer, Sources, Tree, merge_layers, parse_overrides, read_layers
 
 __all__ = ["Field", "PrivateAttr", "Section", "validate", "load_section", "model_validator"]
@@ -99,6 +100,11 @@ class Unit:
 @dataclasses.dataclass(frozen=True)
 class Code:
     """Marks a field that may name code, as ``module:OBJECT``: ``Annotated[str, Code()]``."""
+
+
+def unit_of(field: FieldInfo) -> str | None:
+    """The unit that a field declares."""
+    return next((item.name for item in field.metadata if isinstance(item, Unit)), None)
 
 
 class BadValue(InputError):
@@ -278,59 +284,3 @@ def _allowed(error: Mapping[str, Any]) -> str:
     """What pydantic allows: "greater than 0", of "Input should be greater than 0"."""
     text = re.sub(r"^\w+ should (be |have )?", "", error["msg"])
     return ALLOWED.get(error["type"], text.partition(" after validation")[0])
-
-
-def dotted(location: Sequence[str | int]) -> str:
-    """A location as text: ``track.gates[0].size``."""
-    parts = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in location)
-    return "".join(parts).removeprefix(".")
-
-
-def fields_at(schema: type[Section], location: Sequence[str | int] = ()) -> dict[str, FieldInfo]:
-    """The fields, by key, of the section at a location; none where there is another value."""
-    fields = {field.alias or name: field for name, field in schema.model_fields.items()}
-    if not location:
-        return fields
-    key, *rest = location
-    if str(key) not in fields:  # an index of a list, or a key of a mapping
-        return fields_at(schema, rest)
-    section = next(filter(is_section, _types(fields[str(key)].annotation)), None)
-    return fields_at(section, rest) if section else {}
-
-
-def unit_of(field: FieldInfo) -> str | None:
-    """The unit that a field declares."""
-    return next((item.name for item in field.metadata if isinstance(item, Unit)), None)
-
-
-def _types(hint: object) -> Iterator[object]:
-    """The types in an annotation, inner ones too."""
-    yield hint
-    for inner in typing.get_args(hint):
-        yield from _types(inner)
-
-
-def is_section(hint: object) -> TypeGuard[type[Section]]:
-    """Whether an annotation is the class of a section."""
-    return isinstance(hint, type) and issubclass(hint, Section)
-
-
-def value_at(section: Section, key: str, missing: object = None) -> object:
-    """A section's value of a dotted key; ``missing`` for one that a mapping does not list.
-
-    Raises:
-        InputError: no such key, or a section.
-    """
-    node: object = section
-    parts = key.split(".")
-    for index, step in enumerate(parts):
-        if isinstance(node, Mapping):  # its keys may have dots
-            return node.get(".".join(parts[index:]), missing)
-        values = vars(node) if isinstance(node, Section) else {}
-        if step not in values:
-            hint = close_match(step, list(values))
-            raise InputError(f"{key}: unknown key{hint}; allowed there: {', '.join(values)}")
-        node = values[step]
-    if isinstance(node, Section):
-        raise InputError(f"{key}: is a section of the keys {', '.join(vars(node))}")
-    return node

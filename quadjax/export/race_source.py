@@ -16,7 +16,7 @@ from quadjax.export.names import RESIDUAL_FILE
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, fit_race, make_pilot
 from quadjax.policy.race import preset_of, race_of_policy
-from quadjax.race.layout import ESTIMATED
+from quadjax.race.observation_config import ESTIMATED
 from quadjax.race.observations import HIGHEST_RPM
 from quadjax.race.types import Choices, RaceParams
 from quadjax.vehicle.protocol import Constants, VehicleModel

@@ -21,7 +21,8 @@ from quadjax.core.vectors import Vec3
 from quadjax.export.integers import ONE, Rescale
 from quadjax.export.ranges import InputBox, next_gates
 from quadjax.policy.file import Policy
-from quadjax.race.layout import LAST_ACTION, NONE, Layout, ObservedField, split_name
+from quadjax.race.layout import LAST_ACTION, Layout, ObservedField, split_name
+from quadjax.race.observation_config import NONE
 from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM
 from quadjax.race.track import Track
 from quadjax.race.types import Choices, RaceParams

@@ -32,9 +32,9 @@ from quadjax.core.resources import policy_file
 from quadjax.core.sections import LARGEST, Field, Section, validate
 from quadjax.policy import inference
 from quadjax.policy.network_files import SUFFIXES, Layers
-from quadjax.race.layout import Layout, Observation, ObservedField, Source
-from quadjax.race.observations import DISTURBANCES, make_layout
-from quadjax.vehicle.registry import MODELS
+from quadjax.policy.release_1 import layout_of_release_1
+from quadjax.race.layout import Layout
+from quadjax.race.observations import DISTURBANCES
 from quadjax.vehicle.residual import Residual, from_arrays, to_arrays
 
 if TYPE_CHECKING:
@@ -42,11 +42,8 @@ if TYPE_CHECKING:
 
 FORMAT, RELEASE_1 = FORMATS = ("quadjax-policy/2", "quadjax-policy/1")
 VALUE = "value_"  # prefix of the critic's arrays
-SOURCES: dict[str, Source] = {"true": "ground_truth", "estimated": "estimated", "none": "none"}
 Command = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Commands = Annotated[tuple[Command, ...], Field(max_length=100)]
-WidthName = Annotated[str, Field(pattern=r"^(moment_[xyz]|force_z)$")]
-HalfWidth = Annotated[float, Field(ge=0, lt=1e6)]
 
 
 class Meta(Section):
@@ -58,17 +55,6 @@ class Meta(Section):
     command_high: Commands
     output: Literal["clip"] = "clip"
     noise_on: Literal["mean", "clipped_mean"] = "mean"
-
-
-class Release1(Section):
-    """The metadata ``observation`` of the first release, in place of a layout.
-
-    ``disturbance`` has the half-widths that the observed disturbances are scaled by.
-    """
-
-    wrap_next_yaw: bool = True
-    disturbance_input: Literal["true", "estimated", "none"] = "true"
-    disturbance: dict[WidthName, HalfWidth] | None = Field(None, max_length=4)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -217,10 +203,7 @@ def _read(path: Path) -> Policy:
             f"expected {actions} numbers each, as many as the last layer has outputs, the "
             "first below the second"
         )
-    if meta["format"] == RELEASE_1:
-        layout = layout_of_release_1(path, meta, low, high)
-    else:
-        layout = Layout.from_meta(meta.get("layout"), f"{path}: meta 'layout'")
+    layout = _layout(path, meta, low, high)
     if layers[0][0].shape[0] != layout.size:
         raise InputError(
             f"{path}: kernel_0 takes {layers[0][0].shape[0]} inputs, but the policy observes "
@@ -248,36 +231,11 @@ def _read(path: Path) -> Policy:
     )
 
 
-def layout_of_release_1(
-    path: Path | str, meta: dict[str, Any], low: np.ndarray, high: np.ndarray
-) -> Layout:
-    """The layout of a file of the first release.
-
-    Args:
-        path: the file, for messages.
-        meta: with ``vehicle`` and ``observation``.
-        low: (4,) lowest command; the actuators are observed over the range of the commands.
-        high: (4,)
-
-    Raises:
-        InputError: an unknown vehicle or an invalid observation.
-    """
-    if meta["vehicle"] not in MODELS:
-        raise InputError(f"{path}: meta: vehicle is {meta['vehicle']!r}, allowed: {list(MODELS)}")
-    model = MODELS[meta["vehicle"]]
-    release1 = validate(Release1, meta.get("observation") or {}, f"{path}: meta", "observation.")
-    actuators = tuple(zip(low.tolist(), high.tolist(), strict=True))[-model.actuators.size :]
-
-    def with_span(field: ObservedField) -> ObservedField:
-        span = actuators if field.name == model.actuators.name else field.span
-        if field.name in DISTURBANCES and release1.disturbance is not None:
-            half = [release1.disturbance.get(name, 0.0) for name in DISTURBANCES[field.name]]
-            span = tuple((-width, width) for width in half)
-        return dataclasses.replace(field, value=None, span=span)
-
-    source = SOURCES[release1.disturbance_input]
-    observed = Observation(disturbance=source, wrap_next_yaw=release1.wrap_next_yaw)
-    return Layout(tuple(with_span(field) for field in make_layout(model, observed).fields))
+def _layout(path: Path, meta: dict[str, Any], low: np.ndarray, high: np.ndarray) -> Layout:
+    """The layout of the observation, of either format."""
+    if meta["format"] == RELEASE_1:
+        return layout_of_release_1(path, meta, low, high)
+    return Layout.from_meta(meta.get("layout"), f"{path}: meta 'layout'")
 
 
 def _log_std(path: Path | str, arrays: dict[str, np.ndarray], actions: int) -> np.ndarray:

@@ -21,7 +21,8 @@ from quadjax.core.traced import with_leaves
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams, act_sampled, policy_params
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
-from quadjax.race.layout import NONE, Layout, Observation, delayed, split_name
+from quadjax.race.layout import Layout, delayed, split_name
+from quadjax.race.observation_config import NONE, Observation
 from quadjax.race.observations import DISTURBANCES, fields_of
 from quadjax.race.types import Choices, RaceParams
 from quadjax.vehicle.protocol import VehicleModel

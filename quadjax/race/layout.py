@@ -1,12 +1,12 @@
 """Layouts: the named fields of an observation, in order; their numbers, history and files.
 
-The section ``observation`` of a config says which fields of the race a layout has.
+The section of a config that says which fields a layout has is in ``race.observation_config``.
 """
 
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -14,9 +14,8 @@ from pydantic import ConfigDict
 
 from quadjax.core.errors import InputError
 from quadjax.core.imports import user_numbers
-from quadjax.core.sections import LARGEST, Code, Section, model_validator, validate
+from quadjax.core.sections import LARGEST, Section, model_validator, validate
 from quadjax.core.sections import Field as Key
-from quadjax.race.track import Span
 from quadjax.race.types import Past, RaceParams, RaceState, Step
 from quadjax.vehicle.protocol import VehicleModel
 
@@ -25,97 +24,6 @@ Number = Annotated[float, Key(ge=-LARGEST, le=LARGEST)]
 Bounds = tuple[Any, Any]  # pytrees of scalars: lowest (None: minus the highest) and highest
 LAST_ACTION = "last_action"
 MARK, LONGEST = "@", 64  # between a field's name and the number of steps before; the most steps
-
-
-Source = Literal["ground_truth", "estimated", "none"]  # of an observed disturbance or limit
-ESTIMATED: Source = "estimated"
-NONE: Source = "none"
-
-
-class History(Section):
-    """Fields of the observation that are also observed as they were in earlier steps."""
-
-    fields: tuple[str, ...] = Key(
-        (),
-        max_length=6,
-        description="names of observed fields: position, velocity, attitude (or rotation), rates, "
-        "actuators (or their own name: rpm, rotor_speed, thrust), or last_action",
-    )
-    steps: int = Key(4, ge=1, le=16, description="number of earlier values of each")
-    every: int = Key(
-        4,
-        ge=1,
-        le=16,
-        description="control steps from one to the next; steps * every is at most 64",
-    )
-
-    @property
-    def lags(self) -> tuple[int, ...]:
-        """Age in steps of each earlier value, the latest first."""
-        return tuple(self.every * (i + 1) for i in range(self.steps))
-
-
-class Observation(Section):
-    """What the policy observes."""
-
-    disturbance: Source = Key(
-        "ground_truth",
-        description="source of the observed external disturbance: the simulator, the onboard "
-        "estimator, or zeros",
-    )
-    highest_rpm: Source = Key(
-        "estimated",
-        description="source of the observed limit of the propeller speeds, with a battery, as for "
-        "disturbance; none: it is not observed",
-    )
-    attitude: Literal["euler", "rotation"] = Key(
-        "euler",
-        description="roll, pitch and the yaw relative to the gate (3), or the body's x and z axes "
-        "in the gate's frame (6), which have no singularity",
-    )
-    gates_ahead: int = Key(
-        1,
-        ge=1,
-        le=4,
-        description="number of gates after the target whose position and yaw are observed",
-    )
-    last_action: bool = Key(
-        False, description="observe the action of the step before, -1 to 1; 0 at the start"
-    )
-    actuators: bool = Key(
-        True, description="observe the actuators' state; false: for drones that do not measure it"
-    )
-    actuator_range: Span | None = Key(
-        None,
-        description="actuator states that are observed as -1 and 1, in the model's unit; null: "
-        "their nominal range (arXiv 2504.21586: [0, 3000] rad/s)",
-    )
-    wrap_next_yaw: bool = Key(
-        True,
-        description="wrap the next gate's relative yaw to +-180 deg; the authors' code does not",
-    )
-    history: History | None = Key(
-        None,
-        description="earlier values that are observed too: {fields: [rates, rpm], steps: 4, "
-        "every: 4} for those of 4, 8, 12 and 16 steps before; at a start, the first ones; null: "
-        "none",
-    )
-    constants: bool = Key(
-        False,
-        description="the policy observes the constants of the drone that randomization draws: for "
-        "drones whose constants are known",
-    )
-    critic_constants: bool = Key(
-        False,
-        description="the critic, not the policy, also observes the constants that randomization "
-        "draws; the policy file then has no critic",
-    )
-    extra: Annotated[tuple[str, ...], Code()] = Key(
-        (), max_length=32, description="further fields, each the module:FIELD of your own Field"
-    )
-
-
-PUBLISHED = Observation()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,19 +18,8 @@ import jax.numpy as jnp
 from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
 from quadjax.core.vectors import Vec3, between
-from quadjax.race.layout import (
-    ESTIMATED,
-    LAST_ACTION,
-    NONE,
-    PUBLISHED,
-    Bounds,
-    Layout,
-    Numbers,
-    Observation,
-    ObservedField,
-    Source,
-    delayed,
-)
+from quadjax.race.layout import LAST_ACTION, Bounds, Layout, Numbers, ObservedField, delayed
+from quadjax.race.observation_config import ESTIMATED, NONE, PUBLISHED, Observation, Source
 from quadjax.race.track import Span, gates_ahead, pick, to_gate_frame, unwrapped_turns
 from quadjax.race.types import RaceParams, Step
 from quadjax.vehicle.battery import LOWEST, highest_rpm

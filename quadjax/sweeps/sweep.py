@@ -14,7 +14,8 @@ from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, prefixed, short
 from quadjax.core.resources import find_file
-from quadjax.core.sections import validate, value_at
+from quadjax.core.section_keys import value_at
+from quadjax.core.sections import validate
 from quadjax.core.yaml_files import (
     Layer,
     flatten,

@@ -7,7 +7,7 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import check_file, write_bytes, write_text
 from quadjax.core.folders import check_kind, kind_of, remove_files
-from quadjax.core.sections import value_at
+from quadjax.core.section_keys import value_at
 from quadjax.core.yaml_files import flatten
 from quadjax.training.result import is_finished
 from quadjax.vehicle.residual import is_shipped

@@ -6,7 +6,8 @@ import numpy as np
 
 from quadjax.config.assembly import make_choices, make_params
 from quadjax.config.loading import load_config
-from quadjax.policy.file import Policy, layout_of_release_1
+from quadjax.policy.file import Policy
+from quadjax.policy.release_1 import layout_of_release_1
 from quadjax.race.laps import Laps
 from tests.race.support import BLANK
 

@@ -17,7 +17,7 @@ from quadjax.export.network import LARGEST_HIDDEN, convert
 from quadjax.export.proof import error_bound, prove
 from quadjax.export.ranges import declare
 from quadjax.export.report import float64_commands
-from quadjax.race.layout import Observation
+from quadjax.race.observation_config import Observation
 from quadjax.race.observations import make_layout
 from quadjax.vehicle.motor import MODEL
 from tests.export.support import fixed, library, made, observations
