@@ -96,8 +96,8 @@ def seeds_at_once(
             runs[i] = runs[i].after(progress, total, seconds)
             best = {"lap_total": total, "best_lap_total": runs[i].best_score}
             files[i].write({**progress.row, "seconds": seconds, **best})
-        laps = [round(x, 2) for x in scores]
-        print(f"{chunk.steps / 1e6:.1f} M steps, {seconds:.0f} s, laps {laps} s", flush=True)
+        totals = f"{configs[0].evaluate.length} {[round(x, 2) for x in scores]} s"
+        print(f"{chunk.steps / 1e6:.1f} M steps, {seconds:.0f} s, {totals}", flush=True)
         if seconds > limit:
             break
     for config, folder, run in zip(configs, folders, runs, strict=True):

@@ -328,7 +328,7 @@ def tune(
         if not train(config, place, resume=True, progress=False).finished:
             raise StoppedError
     # The best by lap time may pass closer to the edges than the margin asks for.
-    flies = read_summary(place)["last_lap_total"] is not None
+    flies = read_summary(place)[f"last_{setting.race.run.score_name}"] is not None
     return place / ("policy_last.npz" if flies else "policy.npz")
 
 

@@ -163,6 +163,18 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
         np.testing.assert_array_equal(bias, found[1])
 
 
+@pytest.mark.slow
+def test_a_damaged_checkpoint_is_refused_before_anything_is_compiled(tmp_path, monkeypatch):
+    config = config_of("e2e")
+    training.train(config, tmp_path, enough=at(128))
+    for path in (tmp_path / "checkpoints").rglob("*"):
+        if path.is_file():
+            path.write_bytes(b"")
+    monkeypatch.setattr(training, "_compile", None)
+    with pytest.raises(InputError, match=r"checkpoint 128 cannot be read .*overwrite=True"):
+        training.train(config, tmp_path, resume=True)
+
+
 TRAINED = {"e2e", "e2e_ppo", "indi_ppo"}  # by other tests
 PRESETS = sorted({*preset_names()} - TRAINED)
 PRESETS += ["e2e +residual", "e2e_race_robust +history", "e2e_paper +authors_code"]

@@ -112,6 +112,15 @@ def place(state: TrainState, mesh: Mesh) -> TrainState:
     return jax.device_put(jax.tree.map(strong, state), _shardings(state, mesh))
 
 
+def placed_shapes(shapes: TrainState, mesh: Mesh) -> TrainState:
+    """The shapes of a state that is laid out over the mesh."""
+    return jax.tree.map(
+        lambda leaf, where: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=where),
+        shapes,
+        _shardings(shapes, mesh),
+    )
+
+
 def constrain(tree: Tree, *spec: str | None) -> Tree:
     """Traced arrays, laid out over the mesh that a program is compiled for, if it is for one.
 

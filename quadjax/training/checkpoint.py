@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 
 import jax
+import numpy as np
 import orbax.checkpoint as ocp
 from flax import struct
 
@@ -80,16 +81,19 @@ class Checkpoints:
                 "last one stays"
             ) from error
 
-    def restore(self, like: RunState) -> RunState:
+    def restore(self, shapes: TrainState) -> RunState:
         """The state in the checkpoint.
 
         Args:
-            like: the first state of a run of the same config, for shapes and devices.
+            shapes: of the state in a run of the same config, with its layout on the devices; see
+                ``quadjax.learners.parallel.placed_shapes``.
 
         Raises:
             InputError: the checkpoint is damaged.
         """
         manager, step = self._manager, self._manager.latest_step()
+        best = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), shapes.evaluated)
+        like = RunState(state=shapes, best=best)
         try:
             restored: RunState = manager.restore(step, args=ocp.args.StandardRestore(like))
         except Exception as error:  # Orbax raises many kinds

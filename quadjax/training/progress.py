@@ -17,11 +17,20 @@ MAX_NAME = 16  # letters of the run's name in it
 
 
 class TrainingProgress:
-    """Percentage, time left, steps per second and lap times of a training run."""
+    """Percentage, time left, steps per second and race times of a training run."""
 
-    def __init__(self, total_steps: int, name: str, console: Console | None = None) -> None:
-        """Prepare the line; nothing is shown yet."""
-        self._total, self._name = total_steps, name
+    def __init__(
+        self, total_steps: int, name: str, length: str, console: Console | None = None
+    ) -> None:
+        """Prepare the line; nothing is shown yet.
+
+        Args:
+            total_steps: environment steps of the run.
+            name: of the run.
+            length: of the flights that are timed, such as "6 laps".
+            console: that of stderr if not given.
+        """
+        self._total, self._name, self._length = total_steps, name, length
         self._console = console or Console(stderr=True)
         self._console.width = min(self._console.width, MAX_WIDTH)
         line = Column(no_wrap=True)
@@ -64,7 +73,7 @@ class TrainingProgress:
 
     def show(self, row: Row) -> None:
         """Show one row of metrics."""
-        status, now = describe(row), time.monotonic()
+        status, now = describe(row, self._length), time.monotonic()
         if self._console.is_terminal:
             self._bar.update(self._task, completed=row["steps"], status=status)
         elif now - self._logged >= LOG_SECONDS or row["steps"] >= self._total:
@@ -81,12 +90,12 @@ class TrainingProgress:
             print(text, file=sys.stderr, flush=True)
 
 
-def describe(row: Row) -> str:
-    """A row of metrics in at most 40 characters: lap times once all laps are completed."""
+def describe(row: Row, length: str) -> str:
+    """A row of metrics in about 40 characters: times of ``length`` once a flight completes it."""
     speed = f"{row['steps_per_second'] / 1e3:.0f} k/s"
     if not math.isfinite(row.get("best_lap_total", math.inf)):
         reward = f"{speed}  reward {row['reward']:.3f}" if "reward" in row else speed
         crashes = f"  crashes {100.0 * row['crash_rate']:.0f}%" if "crash_rate" in row else ""
         return reward + crashes
-    laps = f"{row['lap_total']:.2f}" if math.isfinite(row["lap_total"]) else "-"
-    return f"{speed}  laps {laps} s, best {row['best_lap_total']:.2f} s"
+    total = f"{row['lap_total']:.2f}" if math.isfinite(row["lap_total"]) else "-"
+    return f"{speed}  {length} {total} s, best {row['best_lap_total']:.2f} s"

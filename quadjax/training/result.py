@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quadjax.config.loading import load_config
-from quadjax.config.schema import Config
+from quadjax.config.schema import SCORE_NAMES, Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, read_text, write_csv, write_json
 from quadjax.core.provenance import provenance
@@ -21,16 +21,14 @@ if TYPE_CHECKING:  # of Orbax, which takes a second to import
     from quadjax.training.checkpoint import RunState
 
 NUMBER, OPTIONAL_NUMBER = int | float, int | float | None
-SUMMARY = {  # keys of summary.json and the types of their values
+SUMMARY = {  # keys of summary.json and the types of their values, without those of the score
     "name": str,
     "seed": int,
     "finished": bool,
     "steps": int,
     "devices": int,
     "seconds": NUMBER,
-    "best_lap_total": OPTIONAL_NUMBER,
     "best_steps": OPTIONAL_NUMBER,
-    "last_lap_total": OPTIONAL_NUMBER,
     "peak_memory_mib": OPTIONAL_NUMBER,
 }
 
@@ -92,7 +90,9 @@ def read_summary(folder: Path) -> dict[str, Any]:
     """
     path = folder / "summary.json"
     summary = read_json(path)
-    wrong = [key for key, kind in SUMMARY.items() if not isinstance(summary.get(key, ...), kind)]
+    score = next((name for name in SCORE_NAMES.values() if f"best_{name}" in summary), "score")
+    kinds = SUMMARY | {f"{which}_{score}": OPTIONAL_NUMBER for which in ("best", "last")}
+    wrong = [key for key, kind in kinds.items() if not isinstance(summary.get(key, ...), kind)]
     if wrong:
         raise InputError(f"{path}: damaged ({', '.join(wrong)}); remove it and resume the run")
     return summary
@@ -106,10 +106,13 @@ def is_finished(folder: Path) -> bool:
 def write_summary(
     config: Config, folder: Path, run_state: "RunState", devices: int, finished: bool
 ) -> None:
-    """Write ``summary.json`` of a run, ``finished`` if all steps were trained."""
+    """Write ``summary.json`` of a run, ``finished`` if all steps were trained.
+
+    The scores are those of ``run.score``: ``best_lap_total``, or ``best_episode_reward``.
+    """
     rows = saved_rows(folder / "metrics.csv")
-    names = [f"best_{config.run.score_name}", config.run.score_name]
-    scores = (rows[-1][name] if rows else math.inf for name in names)
+    score = config.run.score_name
+    scores = (rows[-1][name] if rows else math.inf for name in (f"best_{score}", score))
     best, last = (round(x, 3) if math.isfinite(x) else None for x in scores)
     summary = {
         "name": config.name,
@@ -118,12 +121,12 @@ def write_summary(
         "steps": run_state.steps,
         "devices": devices,
         "seconds": round(run_state.seconds, 1),
-        "best_lap_total": None,
+        f"best_{score}": best,
         "best_steps": run_state.best_steps,
-        "last_lap_total": None,
+        f"last_{score}": last,
         "peak_memory_mib": peak_memory_mib(),
         "provenance": provenance(config, folder / "policy.npz"),
-    } | {names[0]: best, f"last_{names[1]}": last}
+    }
     write_json(folder / "summary.json", summary)
 
 

@@ -19,7 +19,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
 from quadjax.core.interruptions import interruptions
 from quadjax.learners import parallel
-from quadjax.learners.loop import Plan, Row, train_chunks
+from quadjax.learners.loop import Plan, Progress, Row, train_chunks
 from quadjax.learners.parallel import Chunk
 from quadjax.learners.state import ActorCritic, Learner, TrainState
 from quadjax.policy.file import Policy
@@ -92,7 +92,8 @@ def train(
         config = prepare_folder(config, folder, resume, overwrite)
         if not (is_finished(folder) and (folder / "policy.npz").exists()):
             job = dataclasses.replace(job, config=config)
-            display = TrainingProgress(job.plan.steps, config.name) if progress else None
+            shown = job.plan.steps, config.name, config.evaluate.length
+            display = TrainingProgress(*shown) if progress else None
             count = getattr(config.learner, "num_envs", None)
             if display is not None and count is not None:
                 display.note(f"{config.name}: {count} environments (learner.num_envs)")
@@ -137,31 +138,23 @@ def _run(
     enough: Callable[[Row], bool] | None,
 ) -> None:
     """Compile, start or resume, train, and save; ends early after ``stop`` or ``enough``."""
-    checkpoints = Checkpoints(folder / "checkpoints")
-    fly = make_flights(job.config, job.params)
-    chunk, first = _compile(job, fly, stop, display)
-    run_state = RunState(state=first, best=jax.device_get(first.evaluated))
+    checkpoints, restored = Checkpoints(folder / "checkpoints"), None
     if resume and checkpoints.exists:
-        run_state = checkpoints.restore(run_state)
-        started = time.monotonic() - run_state.seconds
+        restored = checkpoints.restore(parallel.placed_shapes(job.shapes, job.mesh))
     elif resume and display is not None:
         display.note(f"{folder}: no checkpoint to resume from, starting a new run")
+    fly = make_flights(job.config, job.params)
+    chunk, first = _compile(job, fly, None if restored is None else restored.state, stop, display)
+    run_state = restored or RunState(state=first, best=jax.device_get(first.evaluated))
+    if restored is not None:
+        started = time.monotonic() - restored.seconds
     metrics = MetricsFile(folder, run_state.steps, job.config.run.tensorboard)
     saved, advise_at = time.monotonic(), max(ADVISE_AFTER * job.plan.steps, FEW_STEPS)
-    name, sign = job.config.run.score_name, -1.0 if job.config.run.score == "reward" else 1.0
     chunks = train_chunks(chunk, job.params, run_state.state, job.plan, run_state.steps)
     while not stop.is_set() and (progress := next(chunks, None)) is not None:
         laps = fly(progress.state.evaluated)
         run_state = run_state.after(progress, laps.score, time.monotonic() - started)
-        row = {
-            "steps": progress.steps,
-            "seconds": run_state.seconds,
-            "steps_per_second": progress.steps_per_second,
-            name: sign * laps.score,
-            f"best_{name}": sign * run_state.best_score,
-            **progress.row,
-            **gap(job.config, laps),
-        }
+        row = _row(job.config, progress, run_state, laps)
         metrics.write(row)
         if display is not None:
             display.show(row)
@@ -179,6 +172,20 @@ def _run(
     metrics.close()
 
 
+def _row(config: Config, progress: Progress, run_state: RunState, laps: Laps) -> Row:
+    """A row of ``metrics.csv``: the score under its name, a reward with its sign."""
+    name, sign = config.run.score_name, -1.0 if config.run.score == "reward" else 1.0
+    return {
+        "steps": progress.steps,
+        "seconds": run_state.seconds,
+        "steps_per_second": progress.steps_per_second,
+        name: sign * laps.score,
+        f"best_{name}": sign * run_state.best_score,
+        **progress.row,
+        **gap(config, laps),
+    }
+
+
 def _save(job: _Job, folder: Path, checkpoints: Checkpoints, run_state: RunState) -> None:
     """Write the checkpoint, the best and the last policy, and the summary."""
     steps, last = run_state.steps, jax.device_get(run_state.state.evaluated)
@@ -192,17 +199,20 @@ def _save(job: _Job, folder: Path, checkpoints: Checkpoints, run_state: RunState
 def _compile(
     job: _Job,
     fly: Callable[[ActorCritic], Laps],
+    restored: TrainState | None,
     stop: threading.Event,
     display: TrainingProgress | None,
 ) -> tuple[Chunk, TrainState]:
-    """The compiled chunk and the first state; the evaluation is compiled at the same time.
+    """The compiled chunk, and the first state: ``restored``, if it is not None.
 
-    Compilation runs in threads, so that this one receives signals. So does the check of the
-    vehicle, which compiles a simulation of it.
+    The evaluation is compiled at the same time. Compilation runs in threads, so that this one
+    receives signals. So does the check of the vehicle, which compiles a simulation of it.
     """
     learner, params, mesh = job.learner, job.params, job.mesh
 
     def begin() -> TrainState:
+        if restored is not None:
+            return restored
         return parallel.place(start_state(job.config, learner, params, job.initial), mesh)
 
     def warn(display: TrainingProgress) -> None:

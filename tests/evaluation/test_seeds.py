@@ -56,6 +56,7 @@ def test_a_training_that_is_scored_by_the_reward(tmp_path):
     np.testing.assert_array_equal(
         run.metrics["best_episode_reward"], np.maximum.accumulate(rewards)
     )
+    assert "best_lap_total" not in summary
     assert summary["best_episode_reward"] == pytest.approx(rewards.max(), abs=1e-3)
     assert summary["last_episode_reward"] == pytest.approx(rewards[-1], abs=1e-3)
     assert summary["best_steps"] == run.metrics["steps"][rewards.argmax()]

@@ -35,7 +35,7 @@ ROW = {
 def printed(name, row, note=""):
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=True, width=80, color_system=None)
-    with TrainingProgress(20_000_000, name, console) as display:
+    with TrainingProgress(20_000_000, name, "6 laps", console) as display:
         display.show(row)
         display.note(note)
     return stream.getvalue()
@@ -48,8 +48,8 @@ def test_bar_percentage_time_and_laps_fit_in_80_columns():
             line = [line for line in text.splitlines() if "%" in line][-1]
             assert "62%" in line and ":" in line and "265 k/s" in line
             assert "━" in line and "…" not in line.replace(name[:15] + "…", "")
-            assert ("reward 0.123  crashes 40%" if laps > 1000 else f"laps {laps:.2f} s") in line
-    assert "laps - s, best 15.70" in describe(ROW | {"lap_total": float("inf")})
+            assert ("reward 0.123  crashes 40%" if laps > 1000 else f"6 laps {laps:.2f} s") in line
+    assert "19 gates - s, best 15.70" in describe(ROW | {"lap_total": float("inf")}, "19 gates")
 
 
 def test_a_compilation_shows_its_seconds(monkeypatch, capsys):
@@ -58,7 +58,7 @@ def test_a_compilation_shows_its_seconds(monkeypatch, capsys):
         now, stream = [100.0], io.StringIO()
         monkeypatch.setattr(progress.time, "monotonic", lambda now=now: now[0])
         console = Console(file=stream, force_terminal=terminal, width=80, color_system=None)
-        with TrainingProgress(1000, "run", console) as display:
+        with TrainingProgress(1000, "run", "1 lap", console) as display:
             for seconds in (0, 9, 11, 20, 21.4):
                 now[0] = 100.0 + seconds
                 display.compiling()
