@@ -14,34 +14,42 @@ Handler = Callable[[int, FrameType | None], object] | int | None
 
 
 @contextmanager
+def _handled(handler: Callable[[int, FrameType | None], object]) -> Iterator[dict[int, Handler]]:
+    """Call a function at Ctrl-C and SIGTERM in the block; yields the handlers before it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield {}
+        return
+    before: dict[int, Handler] = {
+        number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield before
+    finally:
+        for number, handler_before in before.items():
+            signal.signal(number, handler_before)
+
+
+@contextmanager
 def interruptions(message: bytes = STOPPING) -> Iterator[threading.Event]:
     """An event that Ctrl-C or SIGTERM sets; a second one raises ``KeyboardInterrupt``.
 
     The first one prints a line, ``message``, to stderr.
     The handler that was installed before is called at the first signal, too.
     """
-    stop = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
+    stop, before = threading.Event(), dict[int, Handler]()
 
     def ask(number: int, frame: FrameType | None) -> None:
         if stop.is_set():
             raise KeyboardInterrupt
         stop.set()
         os.write(2, message)
-        handler = before[number]
+        handler = before.get(number)
         if callable(handler) and handler is not signal.default_int_handler:
             handler(number, frame)
 
-    before: dict[int, Handler] = {
-        number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
+    with _handled(ask) as handlers:
+        before |= handlers
         yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager
@@ -51,18 +59,10 @@ def uninterrupted() -> Iterator[list[int]]:
     Yields the signals received so far.
     """
     received: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield received
-        return
-    before = {
-        number: signal.signal(number, lambda number, frame: received.append(number))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
     try:
-        yield received
+        with _handled(lambda number, frame: received.append(number)):
+            yield received
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
         if received:
             signal.raise_signal(received[0])
 

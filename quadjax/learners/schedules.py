@@ -172,16 +172,7 @@ def schedule_learner(
     """
     if not schedules:
         return learner
-    built: list[Knots] = []
-    keys: dict[int, str] = {}  # of the schedule of each leaf
-    for key, schedule in schedules.items():
-        trees = [numbers_at(key, None if x == "value" else x) for x in schedule.linear]
-        by_level, knots = schedule.by == "pass_rate", np.array(schedule.knots(steps, plan.steps))
-        knots = knots if by_level else knots / plan.steps_per_update
-        built.append(make_schedule(key, knots, trees, by_level))
-        for leaf in built[-1].leaves:
-            if (other := keys.setdefault(leaf, key)) != key:
-                raise InputError(f"schedules: {other} and {key} change the same number")
+    built = _make_schedules(schedules, numbers_at, plan, steps)
     limits = None
     if any(knots.by_level for knots in built):
         curriculum = curriculum or Curriculum()
@@ -205,5 +196,25 @@ def schedule_learner(
         level = jnp.clip(state.level + step, 0.0, 1.0)
         return dataclasses.replace(following, level=level), metrics | {"level": level}
 
-    hyper = Scheduled(learner.hyper, tuple(built), limits)
+    hyper = Scheduled(learner.hyper, built, limits)
     return dataclasses.replace(learner, init=init, update=update, hyper=hyper)
+
+
+def _make_schedules(
+    schedules: Mapping[str, Schedule],
+    numbers_at: Callable[[str, float | None], Tree],
+    plan: Plan,
+    steps: int,
+) -> tuple[Knots, ...]:
+    """The knots of all schedules, which may not change the same number."""
+    built: list[Knots] = []
+    keys: dict[int, str] = {}  # of the schedule of each leaf
+    for key, schedule in schedules.items():
+        trees = [numbers_at(key, None if x == "value" else x) for x in schedule.linear]
+        by_level, knots = schedule.by == "pass_rate", np.array(schedule.knots(steps, plan.steps))
+        knots = knots if by_level else knots / plan.steps_per_update
+        built.append(make_schedule(key, knots, trees, by_level))
+        for leaf in built[-1].leaves:
+            if (other := keys.setdefault(leaf, key)) != key:
+                raise InputError(f"schedules: {other} and {key} change the same number")
+    return tuple(built)

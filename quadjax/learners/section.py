@@ -152,11 +152,7 @@ class LearnerSection(Section):
         """
         check_integer("steps", steps, 1, 10**12)
         check_integer("seed", seed, 0, MAX_SEED)
-        networks = network or Network()
-        if isinstance(networks, Network):
-            sizes = environment.observation_size, environment.action_size, networks.hidden
-            clipped = self.noise_on == "clipped_mean"
-            networks = Networks(*sizes, networks.activation, clipped)
+        networks = self._networks(environment, network or Network())
         learner, plan = self.planned(environment, networks, steps, max(1, steps // CHUNKS))
 
         def numbers_at(key: str, value: float | None) -> tuple[Any, Any]:
@@ -189,6 +185,13 @@ class LearnerSection(Section):
             metrics={name: np.concatenate([h[name] for h in history]) for name in history[0]},
             steps=plan.steps,
         )
+
+    def _networks(self, environment: Environment, network: Network | Networks) -> Networks:
+        """The networks for an environment; those with the user's own functions as they are."""
+        if not isinstance(network, Network):
+            return network
+        sizes = environment.observation_size, environment.action_size, network.hidden
+        return Networks(*sizes, network.activation, self.noise_on == "clipped_mean")
 
 
 def _with_leaf(params: Any, key: str, value: float | None) -> Any:

@@ -72,22 +72,13 @@ def policy_of(
     config = config if isinstance(config, Config) else load_config(config)
     choices, params = race_of(config)
     network, model = read_network(path), choices.model
-    if network.activation and activation and network.activation != activation:
-        raise InputError(f"{path}: its activation is {network.activation}, not {activation}")
-    activation = network.activation or activation
-    if activation not in ACTIVATIONS:
-        state = f"is {activation}" if activation else "is not in the file, give it (--activation)"
-        raise InputError(f"{path}: the activation {state}, allowed: {', '.join(ACTIVATIONS)}")
+    activation = _activation(path, network, activation)
     low, high = command_ranges(choices, params)
     layers, log_std = network.layers, _log_std(path, network, len(low), std)
     layout, name = choices.layout.with_spans(model, params), model.actuators.name
     _check_sizes(path, layers, layout, model, config.name)
     if actuator_range is not None:
-        if not actuator_range[0] < actuator_range[1]:
-            allowed = "the lowest below the highest"
-            raise InputError(f"actuator_range is {list(actuator_range)}, allowed: {allowed}")
-        spanned = dataclasses.replace(layout[name], span=(actuator_range,) * layout[name].size)
-        layout = Layout(tuple(spanned if f.name == name else f for f in layout.fields))
+        layout = _with_span(layout, name, actuator_range)
     if motors is not None:
         if "last_action" in layout:
             raise InputError(
@@ -106,6 +97,26 @@ def policy_of(
         value=network.value if motors is None else None,
         config=config.model_dump(mode="json", by_alias=True),
     )
+
+
+def _activation(path: Path | str, network: Network, activation: str | None) -> str:
+    """The activation of a network's hidden layers: that of its file, or the one that is named."""
+    if network.activation and activation and network.activation != activation:
+        raise InputError(f"{path}: its activation is {network.activation}, not {activation}")
+    activation = network.activation or activation
+    if activation not in ACTIVATIONS:
+        state = f"is {activation}" if activation else "is not in the file, give it (--activation)"
+        raise InputError(f"{path}: the activation {state}, allowed: {', '.join(ACTIVATIONS)}")
+    return activation
+
+
+def _with_span(layout: Layout, name: str, span: tuple[float, float]) -> Layout:
+    """The layout with another range of the actuators, the field ``name``."""
+    if not span[0] < span[1]:
+        allowed = "the lowest below the highest"
+        raise InputError(f"actuator_range is {list(span)}, allowed: {allowed}")
+    spanned = dataclasses.replace(layout[name], span=(span,) * layout[name].size)
+    return Layout(tuple(spanned if field.name == name else field for field in layout.fields))
 
 
 def _reordered(
