@@ -1,6 +1,6 @@
-"""Presets, parts, policies, tracks and vehicles as text, and files of new tracks and vehicles."""
+"""What `quadjax show` prints, as text, and files of new tracks and vehicles."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +13,11 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import write_text
 from quadjax.core.resources import find_file, find_policy, is_run, policy_names, preset_names
-from quadjax.core.sections import validate
+from quadjax.core.sections import Section, validate
 from quadjax.core.yaml_files import override, parse_overrides, read_tree_with_bases, to_yaml
 from quadjax.evaluation.table import Table, number
+from quadjax.fitting.config import FitConfig, load_fit_config
+from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.policy.file import Policy
 from quadjax.race.random_track import RandomTrack, generate
 from quadjax.race.track import GateSection, TrackSection
@@ -26,11 +28,19 @@ from quadjax.vehicle.summary import summarize
 from quadjax.vehicle.vehicle_file import VehicleFile
 
 PRESET = "e2e"  # the rules for a track file without rules
+Load = Callable[[str, Sequence[str]], Section]
+SCHEMAS: dict[str, tuple[type[Section], Load]] = {  # of files whose keys have descriptions
+    "config": (Config, load_config),
+    "plant": (PlantConfig, load_plant_config),
+    "fit config": (FitConfig, load_fit_config),
+}
+NAMES = {"config": "", "track": "tracks", "vehicle": "vehicles", "plant": "plant"}
+NAMES |= {"fit config": "fit"}  # folders of configs/, by kind
 COMMENT = "Source of the constants: docs/guide/race.md, Drone. A fit to logs gives better ones."
 
 
 def kind_of(what: str) -> str:
-    """Whether a name or a file is a config, a track, a vehicle or a policy.
+    """The kind of a name or a file: config, track, vehicle, plant, fit config or policy.
 
     Raises:
         InputError: no such name or file.
@@ -39,18 +49,18 @@ def kind_of(what: str) -> str:
         return "policy"
     if Path(what).is_file():
         keys = set(read_tree_with_bases(what))
-        is_vehicle = keys & {"models", *MODELS}
-        return "track" if "gates" in keys else "vehicle" if is_vehicle else "config"
-    kinds = {"config": "", "track": "tracks", "vehicle": "vehicles"}
-    names = {kind: preset_names(folder) for kind, folder in kinds.items()}
+        if "gates" in keys or keys & {"models", *MODELS}:
+            return "track" if "gates" in keys else "vehicle"
+        return max(SCHEMAS, key=lambda kind: len(keys & {*SCHEMAS[kind][0].model_fields}))
+    names = {kind: preset_names(folder) for kind, folder in NAMES.items()}
     names["policy"] = policy_names()
     for kind, shipped in names.items():
         if what.removesuffix(".yaml") in shipped:
             return kind
     if what and Path(what).is_dir():
         raise InputError(
-            f"{what}: is a folder, allowed: a name that quadjax show lists, or a file of a "
-            "config, a track, a vehicle or a policy"
+            f"{what}: is a folder, allowed: a name that quadjax show lists, or a file: "
+            f"{', '.join(NAMES)} or policy"
         )
     hint = close_match(what, [name for shipped in names.values() for name in shipped])
     name = what or repr(what)
@@ -58,19 +68,20 @@ def kind_of(what: str) -> str:
 
 
 def text_of(what: str, overrides: Sequence[str] = (), model_name: str | None = None) -> str:
-    """A config, a track, a vehicle or a policy as text.
+    """A config, a track, a vehicle, a plant, a fit config or a policy as text.
 
     Args:
         what: a name, or a file.
-        overrides: of a config.
+        overrides: of a config, a plant or a fit config.
         model_name: a ``module:OBJECT`` of a vehicle model; None: those in the vehicle file.
 
     Raises:
         InputError: no such name or file, one that cannot be read, or overrides of another kind.
     """
     kind = "vehicle" if model_name else kind_of(what)
-    if kind == "config":
-        return commented_yaml(load_config(what, overrides)).rstrip("\n")
+    if kind in SCHEMAS:
+        _, load = SCHEMAS[kind]
+        return commented_yaml(load(what, overrides)).rstrip("\n")
     if overrides:
         raise InputError(f"{overrides[0]}: {what} is a {kind}; overrides change a config")
     if kind == "track":

@@ -1,7 +1,9 @@
 """A flight log replayed: its laps, a policy's commands in its states, and a model's predictions."""
 
+import dataclasses
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -13,10 +15,13 @@ from scipy.spatial.transform import Rotation
 from quadjax.config.assembly import make_choices, make_params
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
+from quadjax.core.files import write_json, write_text
 from quadjax.core.integrators import rk4_step
-from quadjax.core.plotting import INK, SERIES, head, new_figure, tidy
+from quadjax.core.plotting import INK, SERIES, head, new_figure, save_figure, tidy
+from quadjax.core.provenance import provenance
 from quadjax.core.vectors import Rotors
 from quadjax.evaluation.figures import trajectory_figure
+from quadjax.evaluation.report import FORMATS
 from quadjax.evaluation.table import Table
 from quadjax.export import emulator
 from quadjax.export.network import convert
@@ -64,7 +69,7 @@ def replay(
     policy: Policy | None,
     drive: str | None = None,
     report: Callable[[str], None] = lambda line: None,
-) -> tuple[dict[str, Any], dict[str, Figure]]:
+) -> "Replay":
     """Replay a flight.
 
     Args:
@@ -75,10 +80,6 @@ def replay(
         policy: None for the laps and the model alone.
         drive: what drives the model: commands, speeds, or None: commands if the log has them.
         report: called with the progress.
-
-    Returns:
-        Numbers of the log, its laps, the commands and the predictions, as JSON takes them; and the
-        figures ``trajectory``, ``prediction`` and, with a policy, ``commands``.
 
     Raises:
         InputError: a log without a signal that is needed, or shorter than a window; in one line.
@@ -107,22 +108,44 @@ def replay(
         "lap_times": [round(float(x), 4) for x in flight.lap_times],
         "commands": of_policy,
         "prediction": of_model | {"residual": drone.vehicle.residual},
+        "provenance": provenance(drone),
     }
-    return numbers, figures
+    return Replay(numbers, figures)
 
 
-def text_of(numbers: dict[str, Any]) -> str:
-    """Laps, commands and prediction errors of ``replay`` as text."""
-    laps, seconds, rate = numbers["lap_times"], numbers["seconds"], numbers["sample_rate"]
-    lines = [f"{numbers['log']}: {seconds:.2f} s of flight at {rate:.0f} Hz", ""]
-    if passed := len(numbers["gate_times"]):
-        lines.append(f"laps: {len(laps)} of the track {numbers['track']}, {passed} gates passed")
-        lines += [f"  lap {number}  {lap:8.3f} s" for number, lap in enumerate(laps, start=1)]
-    else:
-        lines.append(f"laps: no gate of the track {numbers['track']} is passed (--track)")
-    if numbers["commands"] is not None:
-        lines += ["", _commands_table(numbers["commands"]).format()]
-    return "\n".join([*lines, "", _prediction_table(numbers["prediction"]).format()])
+@dataclasses.dataclass(frozen=True)
+class Replay:
+    """A flight log next to a policy and a model.
+
+    Attributes:
+        numbers: of the log, its laps, the commands and the predictions, as JSON takes them.
+        figures: ``trajectory``, ``prediction`` and, with a policy, ``commands``.
+    """
+
+    numbers: dict[str, Any]
+    figures: dict[str, Figure]
+
+    def table(self) -> str:
+        """Laps, commands and prediction errors as text."""
+        numbers, laps = self.numbers, self.numbers["lap_times"]
+        rate, track, passed = numbers["sample_rate"], numbers["track"], len(numbers["gate_times"])
+        lines = [f"{numbers['log']}: {numbers['seconds']:.2f} s of flight at {rate:.0f} Hz", ""]
+        if passed:
+            lines.append(f"laps: {len(laps)} of the track {track}, {passed} gates passed")
+            lines += [f"  lap {number}  {lap:8.3f} s" for number, lap in enumerate(laps, start=1)]
+        else:
+            lines.append(f"laps: no gate of the track {track} is passed (--track)")
+        if numbers["commands"] is not None:
+            lines += ["", _commands_table(numbers["commands"]).format()]
+        return "\n".join([*lines, "", _prediction_table(numbers["prediction"]).format()])
+
+    def write(self, folder: Path) -> None:
+        """Write the table, the numbers and the figures to a folder: ``FILES``."""
+        write_text(folder / "table.txt", self.table() + "\n")
+        write_json(folder / "replay.json", self.numbers)
+        for label, figure in self.figures.items():
+            for suffix in FORMATS:
+                save_figure(figure, folder / f"{label}.{suffix}")
 
 
 def _policy_commands(

@@ -38,7 +38,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "sil": "fly exported C, or your own autopilot, on a simulated drone",
     "import": "convert a network of another project to a policy or residual file",
     "logs": "write flight logs of the stand-in plant or of a known model",
-    "show": "list presets, parts, policies, tracks and vehicles, or print one of them",
+    "show": "list presets, parts, tracks, vehicles, plants and policies, or print one of them",
 }
 
 
@@ -95,7 +95,8 @@ def call(command: Callable[..., int | None], name: str, argv: Sequence[str]) -> 
     with loading():
         from cyclopts import CycloptsError, MissingArgumentError
 
-        from quadjax.cli.options import SET_OPTIONS, check_outputs
+        from quadjax.cli.files import check_outputs
+        from quadjax.cli.options import SET_OPTIONS
         from quadjax.cli.output import ARGUMENTS
 
     app = application(command, name)

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from quadjax.cli import options as opt
+from quadjax.cli.files import is_override
 from quadjax.cli.output import wrote
 from quadjax.core.interruptions import loading
 
@@ -58,8 +59,8 @@ def import_(
         from quadjax.policy.foreign import policy_of, residual_of, sort_files
         from quadjax.vehicle.residual import write_residual
 
-    race = load_config(config, [text for text in files if opt.is_override(text)])
-    networks, deviations = sort_files([text for text in files if not opt.is_override(text)], std)
+    race = load_config(config, [text for text in files if is_override(text)])
+    networks, deviations = sort_files([text for text in files if not is_override(text)], std)
     sign = None if thrust_sign is None else int(thrust_sign)
     if len(networks) == 2:
         opt.refuse("on a residual", "activation", "std", "motors", "actuator_range")

@@ -33,7 +33,7 @@ def improve(
     plant_seed: Annotated[opt.Seed | None, Parameter(group=FLIGHTS)] = None,
     seed: Annotated[opt.Seed, Parameter(group=FLIGHTS)] = 0,
     check: Check = 10,
-    output: opt.Folder = Path("runs/improve"),
+    output: Annotated[opt.Folder, opt.OutputFolder()] = Path("runs/improve"),
     overwrite: opt.Flag = False,
 ) -> int:
     """Improve a policy by its own flights: fly, refit the model, fine-tune, repeat.
@@ -70,15 +70,14 @@ def improve(
         from quadjax.learners.parallel import prepare_devices
         from quadjax.plant.config import load_plant_config
 
+    race, model = load_config(config, overrides), load_fit_config(fit, allow_code=allow_code)
+    files, drone = [], None
     if logs:
         opt.refuse("with --logs", *ON_PLANT)
-    race, model = load_config(config, overrides), load_fit_config(fit, allow_code=allow_code)
-    files = find_logs(model.logs.replace(files=tuple(logs)), Path()) if logs else []
-    drone = None
-    if not logs:
-        drone = load_plant_config(plant)
-        if plant_seed is not None:
-            drone = drone.replace(constants=drone.constants.replace(seed=plant_seed))
+        files = find_logs(model.logs.replace(files=tuple(logs)), Path())
+    else:
+        seeds = [] if plant_seed is None else [f"constants.seed={plant_seed}"]
+        drone = load_plant_config(plant, seeds)
     numbers = rounds, flights, laps, steps_, check, seed
     setting = loop.Setting(race, policy, model, drone, tuple(files), *numbers)
     enable_compilation_cache()

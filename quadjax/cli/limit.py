@@ -1,7 +1,9 @@
 """``quadjax limit``."""
 
 import sys
-from typing import Annotated, Any
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
@@ -9,6 +11,11 @@ from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
 from quadjax.core.files import write_json
 from quadjax.core.interruptions import interruptions, loading
+
+if TYPE_CHECKING:
+    from quadjax.config.schema import Config
+    from quadjax.limits.problem import Flight
+    from quadjax.limits.result import Result
 
 STOPPING = b"\nstopping: the best flight so far is kept; Ctrl-C again ends without it\n"
 FLIGHT = Group("The flight", sort_key=2)
@@ -67,35 +74,21 @@ def limit(
         from quadjax.config.loading import load_config
         from quadjax.core.plotting import save_figure
         from quadjax.limits.problem import Flight
-        from quadjax.limits.result import best_known, save_unverified
+        from quadjax.limits.result import save_unverified
         from quadjax.limits.search import NotFoundError
 
     opt.exclude("laps", "gates")
     opt.exclude("centers", "clearance")
     race = load_config(config, overrides)
     flight = Flight(gates, laps, stop, None if centers else clearance, speed)
-    search: dict[str, Any] = {
-        "policy": policy,
-        "guesses": guess,
-        "starts": starts,
-        "seconds": seconds,
-    }
-    with interruptions(STOPPING) as stopped, steps() as show:
-
-        def report(text: str) -> None:
-            show("stopping" if stopped.is_set() else text)
-
-        try:
-            result = best_known(race, flight, stop=stopped, report=report, **search)
-        except NotFoundError as error:
-            print(f"error: {error}", file=sys.stderr)
-            if npz is not None and save_unverified(npz, error, race):
-                wrote(f"{npz}: not verified, only for --guess")
-            return 1
-        if npz is not None:  # the lower bound may take a minute
-            result.save(npz)
-        report("lower bound")
-        result = result.bounded(bound_speed)
+    search = {"policy": policy, "guesses": guess, "starts": starts, "seconds": seconds}
+    try:
+        result = _search(race, flight, search, bound_speed, npz)
+    except NotFoundError as error:
+        print(f"error: {error}", file=sys.stderr)
+        if npz is not None and save_unverified(npz, error, race):
+            wrote(f"{npz}: not verified, only for --guess")
+        return 1
     print(result.table())
     if json is not None:
         write_json(json, result.to_json())
@@ -105,3 +98,25 @@ def limit(
         save_figure(result.plot(), figure)
     wrote(json, npz, figure)
     return 0
+
+
+def _search(
+    race: "Config",
+    flight: "Flight",
+    search: Mapping[str, Any],
+    bound_speed: float | None,
+    npz: Path | None,
+) -> "Result":
+    """The best known flight and its lower bound; the flight is saved before it is bounded."""
+    from quadjax.limits.result import best_known
+
+    with interruptions(STOPPING) as stopped, steps() as show:
+
+        def report(text: str) -> None:
+            show("stopping" if stopped.is_set() else text)
+
+        result = best_known(race, flight, stop=stopped, report=report, **search)
+        if npz is not None:  # the lower bound may take a minute
+            result.save(npz)
+        report("lower bound")
+        return result.bounded(bound_speed)

@@ -1,4 +1,4 @@
-"""Types of the arguments and options that several commands share, and checks of output files.
+"""Types of the arguments and options that several commands share.
 
 A command is a function whose signature cyclopts reads. A type of this module says how the text of
 an argument becomes a value, which values are allowed, and what the help prints. An option of
@@ -9,16 +9,15 @@ import contextvars
 import dataclasses
 import functools
 import math
-import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import CoercionError, Group, Parameter, Token
 
-from quadjax.core.errors import InputError, writing
-from quadjax.core.files import check_file
+from quadjax.cli.files import Output, OutputFolder, option_name, writable_folder
+from quadjax.core.errors import InputError
 from quadjax.core.resources import find_config, policy_file, preset_names
 from quadjax.core.sections import FOLDER_NAME, MAX_GATES, MAX_LAPS, MAX_PLANTS, MAX_RUNS, MAX_SEED
 
@@ -40,7 +39,7 @@ def refuse(why: str, *names: str) -> None:
     """
     for name in names:
         if name in SET_OPTIONS.get():
-            raise InputError(f"{_option(name)} has no effect {why}")
+            raise InputError(f"{option_name(name)} has no effect {why}")
 
 
 def refuse_others(why: str, *names: str) -> None:
@@ -50,13 +49,9 @@ def refuse_others(why: str, *names: str) -> None:
 
 def exclude(*names: str) -> None:
     """Refuse two or more of these options together."""
-    names_set = [_option(name) for name in names if name in SET_OPTIONS.get()]
+    names_set = [option_name(name) for name in names if name in SET_OPTIONS.get()]
     if len(names_set) > 1:
         raise InputError(f"{' and '.join(names_set)} exclude each other")
-
-
-def _option(name: str) -> str:
-    return f"--{name.strip('_').replace('_', '-')}"
 
 
 def reads(convert: Callable[[str], Any], **named: Any) -> Parameter:
@@ -146,17 +141,6 @@ def path(allowed: str, convert: Callable[[str], Path] = Path, **named: Any) -> P
     return reads(checked, **named)
 
 
-def _folder(text: str) -> Path:
-    """The path of a folder that can be written; of a new one, the nearest existing folder."""
-    folder = Path(text)
-    nearest = next(path for path in (folder, *folder.parents) if path.exists())
-    if nearest.is_file():
-        raise ValueError(f"{nearest} is a file, allowed: a folder")
-    if not os.access(nearest, os.W_OK):
-        raise ValueError(f"{text}: no permission in {nearest}, allowed: a folder to write to")
-    return folder
-
-
 def _run_name(text: str) -> str:
     if not re.fullmatch(FOLDER_NAME, text):
         allowed = "letters, digits, '_', '.' and '-', the last two not first"
@@ -200,8 +184,8 @@ PlantConfig = Annotated[str, config_of("plant", metavar="CONFIG")]
 FitConfig = Annotated[str, config_of("fit", metavar="FIT.yaml")]
 Race = Annotated[str | None, Parameter(metavar="CONFIG")]
 Export = Annotated[Path, path("the folder of quadjax export, or a file")]
-Folder = Annotated[Path, path("the name of a folder", _folder, metavar="DIR")]
-RunsFolder = Annotated[Folder, Parameter(help="Write to DIR/NAME.")]
+Folder = Annotated[Path, path("the name of a folder", writable_folder, metavar="DIR")]
+RunsFolder = Annotated[Folder, OutputFolder(), Parameter(help="Write to DIR/NAME.")]
 InputFile = Annotated[Path, path("a file", metavar="FILE")]
 Seed = Annotated[int, whole(0, MAX_SEED)]
 Laps = Annotated[int, whole(1, MAX_LAPS)]
@@ -240,17 +224,6 @@ PLAIN_LOGS = Logs()
 FILES = Group("Output files", sort_key=3)
 
 
-@dataclasses.dataclass(frozen=True)
-class Output:
-    """Marks an option that names a file to write; it is checked before any work is done.
-
-    Attributes:
-        suffixes: the allowed ones; any if empty.
-    """
-
-    suffixes: tuple[str, ...] = ()
-
-
 JsonFile = Annotated[
     Path | None,
     Output((".json",)),
@@ -259,68 +232,3 @@ JsonFile = Annotated[
 AnyFile = Annotated[Path | None, Output(), Parameter(metavar="FILE.json", group=FILES)]
 NpzFile = Annotated[Path | None, Output((".npz",)), Parameter(metavar="FILE.npz", group=FILES)]
 Picture = Annotated[Path | None, Output(PICTURES), Parameter(metavar="FILE.png", group=FILES)]
-
-
-def is_override(text: str) -> bool:
-    """Whether an argument is ``key=value`` or ``+part``, not a file, whose path may have ``=``."""
-    key, equals, _ = text.partition("=")
-    is_change = bool(equals) and not set("/ ") & set(key)
-    return text.startswith("+") or (is_change and not os.path.exists(text))
-
-
-def check_outputs(command: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
-    """Refuse output files before any work is done.
-
-    Args:
-        command: whose annotations mark outputs by ``Output``.
-        arguments: by their names.
-
-    Raises:
-        InputError: as ``check_writable``, or an output that is the file of another argument.
-    """
-    hints = get_type_hints(command, include_extras=True)
-    files = [
-        (name, text, os.path.realpath(text))
-        for name, values in arguments.items()
-        for text in (values if isinstance(values, (list, tuple)) else [values])
-        if isinstance(text, (str, Path)) and "\0" not in str(text)
-    ]
-    for name, text, _ in files[:]:
-        key, _, value = str(text).partition("=")
-        if is_override(str(text)) and key.split(".")[-1] != "name":
-            files.append((name, text, os.path.realpath(value)))
-    for name, path, real in files:
-        for mark in getattr(hints[name], "__metadata__", ()):
-            if isinstance(mark, Output):
-                check_writable(Path(path), mark.suffixes)
-                if others := [other for other, _, file in files if file == real and other != name]:
-                    raise InputError(
-                        f"{_option(name)} {path}: is also {others[0]}, allowed: another file"
-                    )
-
-
-def check_writable(path: Path, suffixes: Sequence[str] = (), overwrite: bool = True) -> None:
-    """Refuse an output path before any work is done.
-
-    Args:
-        path: of a file to write.
-        suffixes: the allowed ones; any if empty.
-        overwrite: whether an existing file may be replaced.
-
-    Raises:
-        InputError: a wrong suffix, a directory, a link, a pipe, a device, or a folder that does
-            not exist or cannot be written.
-    """
-    if suffixes and path.suffix.lower() not in suffixes:
-        raise InputError(f"{path}: suffix is {path.suffix!r}, allowed: {', '.join(suffixes)}")
-    with writing(path):
-        if path.is_symlink():
-            raise InputError(f"{path}: is a link, expected the name of a file")
-        if path.exists():
-            check_file(path)
-        if not path.parent.is_dir():
-            raise InputError(f"{path}: the folder {path.parent} does not exist")
-        if not os.access(path.parent, os.W_OK):
-            raise InputError(f"{path}: cannot be written (no permission in {path.parent})")
-    if path.exists() and not overwrite:
-        raise InputError(f"{path}: already exists, allowed: another name, or --overwrite")

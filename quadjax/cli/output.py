@@ -44,13 +44,14 @@ def steps(console: Console | None = None) -> Iterator[Callable[[str], None]]:
 
 
 class _Lines:
-    """Prints the latest text of a step once, ``SECONDS`` after it began."""
+    """Prints the latest text of a step once, ``SECONDS`` after the step began."""
 
     def __init__(self, console: Console) -> None:
         self._console, self._step, self._text = console, "", ""
         self.timer = threading.Timer(SECONDS, self._print)
 
     def report(self, text: str) -> None:
+        """Take the text of a step; another step starts the time anew, a new amount does not."""
         step, self._text = AMOUNT.sub("", text), text
         if step != self._step:
             self._step = step

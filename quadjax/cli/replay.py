@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from quadjax.cli import options as opt
 from quadjax.cli.output import note, steps, wrote
 from quadjax.core.errors import InputError
-from quadjax.core.files import write_json, write_text
+from quadjax.core.files import write_json
 from quadjax.core.folders import results
 from quadjax.core.interruptions import loading
 
@@ -57,14 +57,11 @@ def replay(
         json: Write the numbers there as well.
     """
     with loading():
-        from quadjax.core.plotting import save_figure
-        from quadjax.core.provenance import provenance
-        from quadjax.evaluation.report import FORMATS
         from quadjax.export.race_source import policy_race
         from quadjax.fitting.flight_log import read_log
         from quadjax.policy.file import Policy
         from quadjax.policy.race import race_of_policy
-        from quadjax.replay import FILES, text_of
+        from quadjax.replay import FILES
         from quadjax.replay import replay as replay_log
 
     if vehicle is None:
@@ -85,17 +82,12 @@ def replay(
         flight = read_log(log, columns)
         report("compiling and replaying")
         parts = (gates or drone.track, drone, flown, network, drive, report)
-        numbers, figures = replay_log(flight, *parts)
+        replayed = replay_log(flight, *parts)
         report("figures")
-        text, record = text_of(numbers), numbers | {"provenance": provenance(drone)}
-        write_text(new / "table.txt", text + "\n")
-        write_json(new / "replay.json", record)
-        for label, figure in figures.items():
-            for suffix in FORMATS:
-                save_figure(figure, new / f"{label}.{suffix}")
+        replayed.write(new)
     if json is not None:
-        write_json(json, record)
-    print(text)
+        write_json(json, replayed.numbers)
+    print(replayed.table())
     wrote(f"{folder}/", json)
 
 

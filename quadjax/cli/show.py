@@ -1,13 +1,15 @@
 """``quadjax show``."""
 
 import itertools
+import re
 import textwrap
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from quadjax.cli.options import Flag, Overrides, Picture, check_writable
+from quadjax.cli.files import check_writable
+from quadjax.cli.options import Flag, Overrides, Picture
 from quadjax.cli.output import wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
@@ -19,6 +21,8 @@ KINDS = {  # folders of configs
     "of NAME)": "parts",
     "tracks": "tracks",
     "vehicles": "vehicles",
+    "plants": "plant",
+    "fit configs": "fit",
 }
 
 
@@ -31,12 +35,13 @@ def show(
     figure: Picture = None,
     model: Annotated[str | None, Parameter(metavar="module:OBJECT")] = None,
 ) -> None:
-    """List presets, parts, policies, tracks and vehicles, or print one of them.
+    """List presets, parts, tracks, vehicles, plants and policies, or print one of them.
 
     Without WHAT, everything that comes with the package is listed by name.
     WHAT is a name or a file; what it contains decides what is printed:
 
-    - a config: every key with its value and description, after the overrides;
+    - a config, a plant or a fit config: every key with its value and description,
+      after the overrides;
     - a track: the gates, length and slope of the leg to each, the turn there;
     - a vehicle: hover command, thrust-to-weight ratio, largest body rates and
       time constants of each model in the file, and implausible values;
@@ -104,4 +109,5 @@ def _description(path: Path) -> str:
     """The first sentence of the comment at the top of a file."""
     lines = path.read_text(encoding="utf-8").splitlines()
     comment = itertools.takewhile(lambda line: line.startswith("#"), lines)
-    return " ".join(line.lstrip("# ") for line in comment).split(". ")[0].removesuffix(".")
+    text = " ".join(line.lstrip("# ") for line in comment)
+    return re.split(r"(?<!et al)\. ", text)[0].removesuffix(".")

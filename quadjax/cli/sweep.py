@@ -1,15 +1,21 @@
 """``quadjax sweep``."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from quadjax.cli import options as opt
-from quadjax.core.errors import INTERRUPTED
+from quadjax.cli.files import writable_folder
+from quadjax.core.errors import INTERRUPTED, prefixed
 from quadjax.core.folders import check_kind, claim, remove_files
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
+
+if TYPE_CHECKING:
+    from optuna import Study
+
+    from quadjax.sweeps.sweep import Sweep
 
 FIGURES = ("parallel.png", "slices.png", "importances.png")
 FILES = ("study.journal*", "trials", "trials.csv", "logs", "report.md", "best.yaml", *FIGURES)
@@ -23,7 +29,7 @@ def sweep(
     check: opt.Flag = False,
     report: opt.Flag = False,
     overwrite: opt.Flag = False,
-    output: opt.RunsFolder = Path("runs"),
+    output: Annotated[opt.Folder, Parameter(help="Write to DIR/NAME.")] = Path("runs"),
 ) -> int:
     """Search a space of training configs.
 
@@ -39,23 +45,17 @@ def sweep(
         report: Only report the finished trials.
         overwrite: Remove the trials first.
     """
+    if not check:
+        with prefixed("--output"):
+            writable_folder(str(output))
     with loading():
         from quadjax.sweeps.report import write_report
-        from quadjax.sweeps.run import run_sweep, train_and_fly
-        from quadjax.sweeps.study import (
-            State,
-            delete_study,
-            load_study,
-            open_study,
-            progress,
-            trials_over,
-        )
+        from quadjax.sweeps.study import State, load_study, progress, trials_over
         from quadjax.sweeps.sweep import load_sweep
-        from quadjax.sweeps.workers import LocalWorkers, RayWorkers
 
     changes = [*overrides, *([f"executor.workers={workers}"] if workers else [])]
     plan = load_sweep(find_config(config, "sweeps"), changes)
-    folder, kind = output / plan.file.name, plan.file.executor.kind
+    folder = output / plan.file.name
     if check:
         print(f"{config}: {plan.trials} trials of {plan.file.objective.seeds} seeds can run")
         return 0
@@ -63,20 +63,30 @@ def sweep(
         check_kind(folder, "sweep", () if overwrite else FILES)
         print(write_report(load_study(plan, folder), plan, folder))
         return 0
-
-    with claim(folder, "sweep", FILES, overwrite):
-        if overwrite:
-            delete_study(plan, folder)
-            remove_files(folder, FILES)
-        executor, logs = plan.file.executor, folder / "logs"
-        pool = RayWorkers(executor) if kind == "ray" else LocalWorkers(executor, logs)
-        print(f"{plan.file.name}: {plan.trials} trials, {pool.count} workers ({kind})")
-        ended = run_sweep(plan, folder, pool, train_and_fly)
-        study = open_study(plan, folder)
-        print(write_report(study, plan, folder))
+    study, ended = _run(plan, folder, overwrite)
     print(progress(study, plan))
     over = trials_over(study)
     if len(over) < plan.trials:
         print("The same command runs the rest.")
         return 0 if ended else INTERRUPTED
     return int(any(trial.state == State.FAIL for trial in over))
+
+
+def _run(plan: "Sweep", folder: Path, overwrite: bool) -> tuple["Study", bool]:
+    """Run the trials and print their report; the study, and whether nothing stopped it."""
+    from quadjax.sweeps.report import write_report
+    from quadjax.sweeps.run import run_sweep, train_and_fly
+    from quadjax.sweeps.study import delete_study, open_study
+    from quadjax.sweeps.workers import LocalWorkers, RayWorkers
+
+    executor, logs = plan.file.executor, folder / "logs"
+    with claim(folder, "sweep", FILES, overwrite):
+        if overwrite:
+            delete_study(plan, folder)
+            remove_files(folder, FILES)
+        pool = RayWorkers(executor) if executor.kind == "ray" else LocalWorkers(executor, logs)
+        print(f"{plan.file.name}: {plan.trials} trials, {pool.count} workers ({executor.kind})")
+        ended = run_sweep(plan, folder, pool, train_and_fly)
+        study = open_study(plan, folder)
+        print(write_report(study, plan, folder))
+    return study, ended

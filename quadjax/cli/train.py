@@ -1,6 +1,7 @@
 """``quadjax train``."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,7 @@ from cyclopts import Group, Parameter
 
 from quadjax.cli import STARTED
 from quadjax.cli import options as opt
+from quadjax.cli.files import is_override
 from quadjax.cli.output import command_again, note, steps, wrote
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
@@ -54,7 +56,7 @@ def train(
     """
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.evaluation.training import train_seeds, write_evaluation
+        from quadjax.evaluation.training import write_evaluation
         from quadjax.learners.loop import NonFiniteError
         from quadjax.training import run
         from quadjax.training.fine_tuning import check_policy, fine_tuning
@@ -65,16 +67,7 @@ def train(
     named = [*overrides, *([f"name={name}"] if name else [])]
     if seeds is not None:
         opt.refuse("with --seeds", "resume", "fine_tune")
-        words = [word for word in (config, *named) if opt.is_override(word)]
-        files = [word for word in (config, *named) if word not in words]
-        if len(set(seeds)) < len(seeds):
-            raise InputError(f"--seeds has a seed twice: {' '.join(map(str, seeds))}")
-        if seed := [word for word in words if word.startswith("seed=")]:
-            raise InputError(f"{seed[0]} has no effect with --seeds {' '.join(map(str, seeds))}")
-        for text, file in train_seeds(files, words, list(seeds), runs, output, figure, overwrite):
-            if text:
-                print(text)
-            wrote(file)
+        _train_seeds([config, *named], seeds, runs, output, figure, overwrite)
         return 0
     opt.refuse("without --seeds", "runs", "figure")
     settings = load_config(config, named)
@@ -101,3 +94,26 @@ def train(
         text = write_evaluation(done)
     print(text)
     return 0
+
+
+def _train_seeds(
+    words: Sequence[str],
+    seeds: Sequence[int],
+    runs: int,
+    output: Path,
+    figure: Path | None,
+    overwrite: bool,
+) -> None:
+    """Train each config among the words, with the overrides among them, with each seed."""
+    from quadjax.evaluation.training import train_seeds
+
+    changes = [word for word in words if is_override(word)]
+    files = [word for word in words if word not in changes]
+    if len(set(seeds)) < len(seeds):
+        raise InputError(f"--seeds has a seed twice: {' '.join(map(str, seeds))}")
+    if seed := [word for word in changes if word.startswith("seed=")]:
+        raise InputError(f"{seed[0]} has no effect with --seeds {' '.join(map(str, seeds))}")
+    for text, file in train_seeds(files, changes, seeds, runs, output, figure, overwrite):
+        if text:
+            print(text)
+        wrote(file)

@@ -54,13 +54,8 @@ def verify(
         from quadjax.export.verify.result import FAILED, Result, counts_text, row_text
         from quadjax.export.verify.run import verify as verify_folder
 
-    def announce(name: str) -> None:
-        if sys.stderr.isatty():
-            print(f"\r\033[K{name} ..", end="", file=sys.stderr, flush=True)
-
     def report(result: Result) -> None:
-        if sys.stderr.isatty():
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
+        _status("")
         print(as_options(row_text(result, max(map(len, CHECKS)))), flush=True)
 
     policy = folder if is_file else folder / POLICY_FILE
@@ -68,7 +63,7 @@ def verify(
         folder,
         vectors,
         runs,
-        announce,
+        lambda name: _status(f"{name} .."),
         allow_unfinished=allow_unfinished,
         allow_other_race=allow_other_race,
         report=report,
@@ -83,3 +78,9 @@ def verify(
     if not is_file and not failed:
         print(f"Next: quadjax sil {folder}")
     return int(failed)
+
+
+def _status(text: str) -> None:
+    """Replace the last line of a terminal."""
+    if sys.stderr.isatty():
+        print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)

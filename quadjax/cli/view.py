@@ -2,7 +2,7 @@
 
 import webbrowser
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -11,6 +11,9 @@ from quadjax.cli.output import note, steps, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json
 from quadjax.core.interruptions import loading
+
+if TYPE_CHECKING:
+    from quadjax.flights.flight import Flight
 
 SUFFIXES = (".html", ".npz", ".json")
 
@@ -57,10 +60,7 @@ def view(
     """
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.flights import save
         from quadjax.sources import load_flights
-        from quadjax.view.data import page_record
-        from quadjax.view.page import write_page
 
     names = name or []
     if len(names) > len(flights):
@@ -84,14 +84,24 @@ def view(
             for source, label in zip(flights, labels, strict=True)
             for flight in load_flights(source, label, progress=report, **options)
         ]
-        record = page_record(title, read)
-        if output.suffix == ".npz":
-            save(read, output)
-        elif output.suffix == ".json":
-            write_json(output, record)
-        else:
-            write_page(output, record)
-    count, size = len(record["flights"]), output.stat().st_size
+        count = _write(output, title, read)
+    size = output.stat().st_size
     wrote(f"{output}: {count} flight{'' if count == 1 else 's'}, {size / 2**20:.1f} MiB")
     if open_:
         webbrowser.open(output.resolve().as_uri())
+
+
+def _write(output: Path, title: str, flights: "list[Flight]") -> int:
+    """Write the page, its data or the flights, by the suffix; returns the number of flights."""
+    from quadjax.flights import save
+    from quadjax.view.data import page_record
+    from quadjax.view.page import write_page
+
+    record = page_record(title, flights)
+    if output.suffix == ".npz":
+        save(flights, output)
+    elif output.suffix == ".json":
+        write_json(output, record)
+    else:
+        write_page(output, record)
+    return len(record["flights"])

@@ -42,12 +42,14 @@ SHOWN = {
     "e2e.npz": "network 24-64-64-64-4, relu",
     "figure8": "figure8: 6 gates, a lap of",
     "bebop1": "Parrot Bebop 1",
+    "rough effects.gusts=0.5": "  gusts: 0.5\n",
+    f"{ROOT}/configs/fit/standin.yaml": "  files: [runs/standin_logs/*.csv]\n",
 }
 
 
 @pytest.mark.parametrize("name", SHOWN)
 def test_a_name_is_shown_by_its_kind(name, capsys):
-    assert run("show", name) == 0
+    assert run("show", *name.split()) == 0
     assert SHOWN[name] in capsys.readouterr().out
 
 
