@@ -30,6 +30,7 @@ DISTANCE = 1.0  # m before the gate
 VELOCITY, ROLL_PITCH, RATES = 0.5, math.pi / 9, 0.1  # half-widths: m/s, rad, rad/s
 ALIKE = (LAPS, "hover", False)  # protocol of the published flights
 MAX_LAPS = 64  # that one flight of a given duration is counted for
+RECORDED_STATES = 100_000  # of all runs, up to which their states are kept
 
 
 def simulate(
@@ -51,8 +52,8 @@ def simulate(
         actor: computes the actions.
 
     Returns:
-        The row, whose record repeats the flights, with the published one of the same race and
-        protocol, if any.
+        The row with the published one of the same race and protocol, if any. Its record repeats the
+        flights if they have more than ``RECORDED_STATES``.
 
     Raises:
         InputError: a policy that does not fit the race, or a start that random tracks lack.
@@ -87,7 +88,8 @@ def simulate(
     key, noise = jax.random.split(jax.random.key(protocol.seed))
     states, speeds = _starts(choices, params, key, layouts, protocol), None
     flights = (params, ready, states, noise, last)
-    trace = speed_record if protocol.speeds else False
+    few = states.step.shape[-1] * steps <= RECORDED_STATES
+    trace = speed_record if protocol.speeds else few
     flown, recorded = race.fly_race(choices, actor, count, steps, trace, *flights)
     laps = race.laps_of(choices, flown, time_step, limit)
     gates = (protocol.gates or 0) % gate_count(params.track)
@@ -96,8 +98,10 @@ def simulate(
         speeds = speeds_of(recorded, laps, time_step, config.vehicle.fitted_speed or math.inf)
 
     def record() -> list[Flight]:
-        _, trace = race.fly_race(choices, actor, count, steps, True, *flights)
-        return recorded_flights(trace, laps, time_step, config.track.gates, choices.model)
+        kept = recorded
+        if trace is not True:
+            _, kept = race.fly_race(choices, actor, count, steps, True, *flights)
+        return recorded_flights(kept, laps, time_step, config.track.gates, choices.model)
 
     is_alike = (protocol.laps, protocol.start, protocol.deterministic) == ALIKE
     is_alike = is_alike and condition.damage is None and not protocol.tracks
