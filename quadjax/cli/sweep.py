@@ -74,10 +74,11 @@ def sweep(
 
 def _run(plan: "Sweep", folder: Path, overwrite: bool) -> tuple["Study", bool]:
     """Run the trials and print their report; the study, and whether nothing stopped it."""
-    from quadjax.sweeps.report import write_report
-    from quadjax.sweeps.run import run_sweep, train_and_fly
-    from quadjax.sweeps.study import delete_study, open_study
-    from quadjax.sweeps.workers import LocalWorkers, RayWorkers
+    with loading():
+        from quadjax.sweeps.report import write_report
+        from quadjax.sweeps.run import run_sweep, train_and_fly
+        from quadjax.sweeps.study import delete_study, open_study
+        from quadjax.sweeps.workers import LocalWorkers, RayWorkers
 
     executor, logs = plan.file.executor, folder / "logs"
     with claim(folder, "sweep", FILES, overwrite):

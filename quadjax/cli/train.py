@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
@@ -13,6 +13,9 @@ from quadjax.cli.files import is_override
 from quadjax.cli.output import command_again, note, steps, wrote
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
+
+if TYPE_CHECKING:
+    from quadjax.config.schema import Config
 
 SEEDS = Group("Several seeds", sort_key=2)
 Seeds = Annotated[tuple[opt.Seed, ...], opt.LIST, Parameter(metavar="N ...")]
@@ -56,12 +59,8 @@ def train(
     """
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.evaluation.training import write_evaluation
-        from quadjax.learners.loop import NonFiniteError
-        from quadjax.training import run
         from quadjax.training.fine_tuning import check_policy, fine_tuning
         from quadjax.training.folder import check_started
-        from quadjax.training.result import is_finished
 
     opt.exclude("overwrite", "resume")
     named = [*overrides, *([f"name={name}"] if name else [])]
@@ -77,9 +76,20 @@ def train(
     folder = output / settings.name
     if resume and name:
         check_started(folder)
+    return _train(settings, folder, resume, overwrite)
+
+
+def _train(config: "Config", folder: Path, resume: bool, overwrite: bool) -> int:
+    """Train one policy and print its evaluation; returns the exit status."""
+    with loading():
+        from quadjax.evaluation.training import write_evaluation
+        from quadjax.learners.loop import NonFiniteError
+        from quadjax.training import run
+        from quadjax.training.result import is_finished
+
     finished = resume and is_finished(folder)
     try:
-        done = run.train(settings, folder, resume=resume, overwrite=overwrite, started=STARTED)
+        done = run.train(config, folder, resume=resume, overwrite=overwrite, started=STARTED)
     except NonFiniteError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -105,14 +115,15 @@ def _train_seeds(
     overwrite: bool,
 ) -> None:
     """Train each config among the words, with the overrides among them, with each seed."""
-    from quadjax.evaluation.training import train_seeds
-
     changes = [word for word in words if is_override(word)]
     files = [word for word in words if word not in changes]
     if len(set(seeds)) < len(seeds):
         raise InputError(f"--seeds has a seed twice: {' '.join(map(str, seeds))}")
     if seed := [word for word in changes if word.startswith("seed=")]:
         raise InputError(f"{seed[0]} has no effect with --seeds {' '.join(map(str, seeds))}")
+    with loading():
+        from quadjax.evaluation.training import train_seeds
+
     for text, file in train_seeds(files, changes, seeds, runs, output, figure, overwrite):
         if text:
             print(text)

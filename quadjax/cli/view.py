@@ -93,9 +93,10 @@ def view(
 
 def _write(output: Path, title: str, flights: "list[Flight]") -> int:
     """Write the page, its data or the flights, by the suffix; returns the number of flights."""
-    from quadjax.flights import save
-    from quadjax.view.data import page_record
-    from quadjax.view.page import write_page
+    with loading():
+        from quadjax.flights import save
+        from quadjax.view.data import page_record
+        from quadjax.view.page import write_page
 
     record = page_record(title, flights)
     if output.suffix == ".npz":
