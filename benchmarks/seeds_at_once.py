@@ -84,7 +84,7 @@ def seeds_at_once(
     states = [build.start_state(config, learner, params) for config in configs]
     runs = [RunState(state, state.evaluated) for state in states]
     files, score = [MetricsFile(folder, 0, False) for folder in folders], scorer(configs[0])
-    updates = repeat(learner, plan.updates_per_chunk)
+    updates = repeat(learner.update, plan.updates_per_chunk)
     many = jax.jit(jax.vmap(updates, (None, None, 0)), donate_argnums=2)
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
     chunks = train_chunks(lambda *x: many(learner.hyper, *x), params, stacked, plan)

@@ -188,7 +188,7 @@ def test_every_shipped_config_has_a_program(name):
     config = load_config(name, STANDIN.get(name, []))
     (learner, _), params = make_learner(config), make_params(config)
     state = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
-    jax.eval_shape(training.parallel.repeat(learner, 2), learner.hyper, params, state)
+    jax.eval_shape(training.parallel.repeat(learner.update, 2), learner.hyper, params, state)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ the same on any number, up to rounding. On a CPU there is a device of one thread
 """
 
 import contextlib
+import functools
 import os
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -156,13 +157,12 @@ def compile_options() -> dict[str, bool]:
     return {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
 
 
-def repeat(learner: Learner, count: int) -> Update:
+@functools.lru_cache(maxsize=8)  # the same function is traced once
+def repeat(update: Update, count: int) -> Update:
     """A number of updates as one function, with the metrics of each, (count,)."""
 
     def many(hyper: Any, params: Any, state: TrainState) -> tuple[TrainState, Metrics]:
-        return jax.lax.scan(
-            lambda carry, _: learner.update(hyper, params, carry), state, None, count
-        )
+        return jax.lax.scan(lambda carry, _: update(hyper, params, carry), state, None, count)
 
     return many
 
@@ -184,7 +184,7 @@ def compile_chunk(
     """
     shared, split = NamedSharding(mesh, SHARED), _shardings(state, mesh)
     jitted = jax.jit(
-        repeat(learner, updates),
+        repeat(learner.update, updates),
         in_shardings=(shared, shared, split),
         out_shardings=(split, shared),
         donate_argnums=2,

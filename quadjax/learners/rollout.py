@@ -1,6 +1,7 @@
 """What all learners share: rollouts, targets of the value, gradient steps on minibatches."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -13,7 +14,7 @@ from quadjax.core.environment import Environment, vectorize, where_done
 from quadjax.core.gradients import Scalar
 from quadjax.core.traced import as_leaves
 from quadjax.learners.parallel import AXIS, constrain
-from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, TrainState
+from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, TrainState, Update
 
 Carry = TypeVar("Carry")
 Results = TypeVar("Results")
@@ -51,14 +52,29 @@ def bind(
 ) -> Learner:
     """The learner of a section, whose updates have a ``length`` of steps in ``num_envs`` agents.
 
-    ``init(task, hyper, key)`` and ``update(task, hyper, state)`` are those of the algorithm.
+    ``init(task, hyper, key)`` and ``update(task, hyper, state)`` are those of the algorithm. With
+    the same environment and networks the learner has the same functions, which are traced once.
     """
+    arguments = (environment, networks, init, update)
+    try:
+        functions = _bound(*arguments)
+    except TypeError:  # an environment or networks of the user's without a hash
+        functions = _bound.__wrapped__(*arguments)
+    return Learner(*functions, as_leaves(section), section.num_envs * length)
+
+
+@functools.lru_cache(maxsize=8)
+def _bound(
+    environment: Environment,
+    networks: Networks,
+    init: Callable[[Task, Any, jax.Array], TrainState],
+    update: Callable[[Task, Any, TrainState], tuple[TrainState, Metrics]],
+) -> tuple[Callable[[Any, Any, jax.Array], TrainState], Update]:
+    """``init`` and ``update`` of a learner."""
     batched = vectorize(environment)
-    return Learner(
-        init=lambda hyper, params, key: init(Task(batched, networks, params), hyper, key),
-        update=lambda hyper, params, state: update(Task(batched, networks, params), hyper, state),
-        hyper=as_leaves(section),
-        steps_per_update=section.num_envs * length,
+    return (
+        lambda hyper, params, key: init(Task(batched, networks, params), hyper, key),
+        lambda hyper, params, state: update(Task(batched, networks, params), hyper, state),
     )
 
 

@@ -8,6 +8,7 @@ traced: other numbers for the same leaves do not trigger recompilation.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal, NoReturn
 
@@ -19,7 +20,7 @@ from flax import struct
 from quadjax.core.errors import InputError
 from quadjax.core.sections import LARGEST, Field, Section
 from quadjax.learners.loop import Plan
-from quadjax.learners.state import Learner, Metrics, TrainState
+from quadjax.learners.state import Learner, Metrics, TrainState, Update
 
 Tree = Any  # a pytree
 Value = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
@@ -179,14 +180,25 @@ def schedule_learner(
         updates = max(1.0, curriculum.duration * steps / plan.steps_per_update)
         limits = jnp.float32(curriculum.pass_rate), jnp.float32(1.0 / updates)
 
+    hyper = Scheduled(learner.hyper, built, limits)
+    init, update = _scheduled(learner.init, learner.update)
+    return dataclasses.replace(learner, init=init, update=update, hyper=hyper)
+
+
+@functools.lru_cache(maxsize=8)  # the same functions are traced once
+def _scheduled(
+    first: Callable[[Tree, Tree, jax.Array], TrainState], then: Update
+) -> tuple[Callable[[Scheduled, Tree, jax.Array], TrainState], Update]:
+    """``init`` and ``update`` of a learner with the numbers of schedules."""
+
     def init(hyper: Scheduled, params: Tree, key: jax.Array) -> TrainState:
-        first, lowest = jnp.zeros((), jnp.int32), jnp.zeros(())
-        state = learner.init(*hyper.at(first, lowest, params), key)
+        begin, lowest = jnp.zeros((), jnp.int32), jnp.zeros(())
+        state = first(*hyper.at(begin, lowest, params), key)
         return state if hyper.curriculum is None else dataclasses.replace(state, level=lowest)
 
     def update(hyper: Scheduled, params: Tree, state: TrainState) -> tuple[TrainState, Metrics]:
         level = None if hyper.curriculum is None else state.level
-        following, metrics = learner.update(*hyper.at(state.update, level, params), state)
+        following, metrics = then(*hyper.at(state.update, level, params), state)
         if hyper.curriculum is None:
             return following, metrics
         if "pass_rate" not in metrics:
@@ -196,8 +208,7 @@ def schedule_learner(
         level = jnp.clip(state.level + step, 0.0, 1.0)
         return dataclasses.replace(following, level=level), metrics | {"level": level}
 
-    hyper = Scheduled(learner.hyper, built, limits)
-    return dataclasses.replace(learner, init=init, update=update, hyper=hyper)
+    return init, update
 
 
 def _make_schedules(

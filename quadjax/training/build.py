@@ -1,6 +1,7 @@
 """From a config to a learner on the racing environment."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,7 +21,7 @@ from quadjax.learners.state import ActorCritic, Learner, Networks, TrainState
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
 from quadjax.race.environment import make_environment, with_critic_constants
-from quadjax.race.types import RaceParams, RaceState
+from quadjax.race.types import Choices, RaceParams, RaceState
 from quadjax.training.inputs import read_starts
 from quadjax.vehicle.registry import base_model
 from quadjax.vehicle.residual import is_shipped, read_residual
@@ -35,8 +36,15 @@ def training_environment(config: Config) -> Environment[RaceParams, RaceState]:
     The observation has the factors of ``input_scale``. Where the critic observes the drawn
     constants, they come last.
     """
-    environment, scale = make_environment(make_choices(config)), input_scale(config)
-    constants, observe = privileged_constants(config), environment.observe
+    return _environment(make_choices(config), input_scale(config), privileged_constants(config))
+
+
+@functools.lru_cache(maxsize=8)  # trainings that differ in numbers share traced programs
+def _environment(
+    choices: Choices, scale: tuple[float, ...], constants: tuple[tuple[str, float], ...]
+) -> Environment[RaceParams, RaceState]:
+    environment = make_environment(choices)
+    observe = environment.observe
     if scale:
         environment = dataclasses.replace(
             environment, observe=lambda params, state: observe(params, state) * jnp.array(scale)

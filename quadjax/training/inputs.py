@@ -131,7 +131,7 @@ def check_learner(config: Config, learner: Learner, params: RaceParams) -> Train
     try:
         shapes = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
         if user and isinstance(shapes, TrainState):
-            jax.eval_shape(repeat(learner, 2), learner.hyper, params, shapes)
+            jax.eval_shape(repeat(learner.update, 2), learner.hyper, params, shapes)
     except InputError:
         raise
     except USER_ERRORS as error:

@@ -59,7 +59,7 @@ def _program(name: str, devices: int):
     learner = make(name)
     # Compiled soon rather than well: these networks are tiny.
     quick = {"xla_backend_optimization_level": 0}
-    program = jax.jit(parallel.repeat(learner, UPDATES), compiler_options=quick)
+    program = jax.jit(parallel.repeat(learner.update, UPDATES), compiler_options=quick)
     return learner, parallel.make_mesh(devices), program
 
 
