@@ -1,8 +1,9 @@
 """Tracks: gates in a fixed cyclic order. World NED, m, rad."""
 
 import functools
+import itertools
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +19,7 @@ from quadjax.race.random_track import RandomTrack, RandomTracks, generate
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 Span = Annotated[tuple[Coordinate, Coordinate], ORDERED]
 AHEAD = 5.0  # m, from the last gate of a course to the gate that is observed after it
+TURN = np.float32(2.0 * np.pi)  # rad
 STRAIGHT = 0.2  # below this sum of the sines of the turns at a leg's ends, the leg is straight
 
 
@@ -142,37 +144,37 @@ def make_track(section: TrackSection) -> Track:
     ``AHEAD`` m, in the same direction.
     """
     gates, closed = section.gates, section.closed
-    tilt = np.radians([(g.roll_deg, g.pitch_deg) for g in gates]).astype(np.float32)
+    position = np.array([g.position for g in gates], np.float32)
+    size = np.array([g.size for g in gates], np.float32)
+    angles = np.radians([(g.roll_deg, g.pitch_deg, g.yaw_deg) for g in gates]).astype(np.float32)
+    roll, pitch, yaw = angles.T
     circle = np.array([g.shape == "circle" for g in gates])
-    position = jnp.asarray(np.array([g.position for g in gates], np.float32))
-    yaw = jnp.asarray(np.radians([g.yaw_deg for g in gates]).astype(np.float32))
-    size = jnp.asarray(np.array([g.size for g in gates], np.float32))
-    roll, pitch = (jnp.asarray(angles) for angles in tilt.T)
-    cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
-    to_next = jnp.roll(position, -1, axis=0) - position
-    next_yaw = jnp.roll(yaw, -1) - yaw
+    # In NumPy, which compiles nothing; cosine and sine are those of the compiled programs.
+    cosine, sine = np.asarray(jnp.cos(yaw)), np.asarray(jnp.sin(yaw))
+    to_next = np.roll(position, -1, axis=0) - position
+    next_yaw = np.roll(yaw, -1) - yaw
     if not closed:
-        ahead = AHEAD * jnp.stack([cosine[-1], sine[-1], jnp.zeros_like(sine[-1])])
-        to_next, next_yaw = to_next.at[-1].set(ahead), next_yaw.at[-1].set(0.0)
-    x, y, z = Vec3.of(to_next).components()
+        to_next[-1], next_yaw[-1] = AHEAD * np.array([cosine[-1], sine[-1], 0.0], np.float32), 0.0
+    x, y, z = to_next.T
     start = None
     if section.start is not None:
         place, angle = section.start.position, math.radians(section.start.yaw_deg)
         start = Pose(Vec3(*map(jnp.float32, place)), jnp.float32(angle), place[2] == 0)
-    return Track(
-        position=Vec3.of(position),
-        yaw=yaw,
-        cos_yaw=cosine,
-        sin_yaw=sine,
-        half_width=0.5 * size[:, 0],
-        half_height=0.5 * size[:, 1],
-        next_position=Vec3(cosine * x + sine * y, -sine * x + cosine * y, z),
-        next_yaw=wrap_angle(next_yaw),
-        attitude=Attitude(*sincos(roll), *sincos(pitch), *sincos(yaw)) if tilt.any() else None,
-        circle=jnp.asarray(circle) if circle.any() else None,
-        start=start,
-        closed=closed,
-    )
+    tilted = [sincos(jnp.asarray(x)) for x in (roll, pitch, yaw)] if angles[:, :2].any() else []
+    numbers = {
+        "position": Vec3(*position.T),
+        "yaw": yaw,
+        "cos_yaw": cosine,
+        "sin_yaw": sine,
+        "half_width": np.float32(0.5) * size[:, 0],
+        "half_height": np.float32(0.5) * size[:, 1],
+        "next_position": Vec3(cosine * x + sine * y, -sine * x + cosine * y, z),
+        "next_yaw": next_yaw - TURN * np.rint(next_yaw / TURN),
+        "circle": circle if circle.any() else None,
+    }
+    attitude = Attitude(*itertools.chain(*tilted)) if tilted else None
+    arrays: dict[str, Any] = jax.tree.map(jnp.asarray, numbers)
+    return Track(**arrays, attitude=attitude, start=start, closed=closed)
 
 
 @functools.lru_cache(maxsize=4)
