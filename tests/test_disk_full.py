@@ -1,11 +1,9 @@
 """A full disk at several points of a run: one line, status 2, nothing half-written, a resume."""
 
+import contextlib
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
+import jax
 import pytest
 
 from quadjax.policy.file import Policy
@@ -15,32 +13,33 @@ from tests.surface.short import short
 
 resource = pytest.importorskip("resource", reason="limits of a process need POSIX")
 
-ROOT = Path(__file__).resolve().parents[1]
 SIZES = [4000, 20_000]  # largest files, bytes: of a policy, a checkpoint
+
+
+@contextlib.contextmanager
+def largest_files(size):
+    """No file becomes larger, and no compiled program is kept, which would be cut off."""
+    name = "jax_persistent_cache_min_compile_time_secs"
+    before, (soft, hard) = getattr(jax.config, name), resource.getrlimit(resource.RLIMIT_FSIZE)
+    jax.config.update(name, float("inf"))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        jax.config.update(name, before)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
-def test_a_full_disk_is_one_line_and_the_run_resumes(tmp_path, size):
+def test_a_full_disk_is_one_line_and_the_run_resumes(tmp_path, capsys, size):
     folder = tmp_path / "runs" / "one"
-    # Compiled programs are read from the cache of all tests; those that are cut off stay apart.
-    (tmp_path / "c").mkdir()
-    for path in Path(os.environ["JAX_COMPILATION_CACHE_DIR"]).glob("*-cache"):
-        (tmp_path / "c" / path.name).symlink_to(path.resolve())
-    own = ("run.compilation_cache=false", "name=one")
-    command = ["train", *short("e2e_ppo", *own), "--output", folder.parent, "--resume"]
-    done = subprocess.run(
-        [sys.executable, "-m", "quadjax", *map(str, command)],
-        capture_output=True,
-        text=True,
-        env=os.environ
-        | {"PYTHONPATH": str(ROOT), "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "c")},
-        cwd=tmp_path,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)),
-    )
-    errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
-    assert done.returncode == 2 and len(errors) == 1, done.stderr
-    assert "Traceback" not in done.stderr
+    command = ["train", *short("e2e_ppo", "name=one"), "--output", folder.parent, "--resume"]
+    with largest_files(size):
+        assert run(*command) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len([line for line in lines if line.startswith("error: ")]) == 1
+    assert not [line for line in lines if "Traceback" in line]
     for path in folder.glob("*.npz"):
         Policy.load(path)
     for path in folder.glob("*.json"):
