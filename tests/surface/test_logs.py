@@ -58,19 +58,10 @@ def write(path: Path, columns: dict[str, list[str]]) -> None:
 
 
 def faults(columns: dict[str, list[str]]) -> dict[str, dict[str, list[str]]]:
-    """Changed columns for each kind of fault, all of which are in tests/fitting."""
-
-    def changed(name: str, factor: float) -> list[str]:
-        return [repr(factor * float(value)) for value in columns[name]]
-
-    rates = [f"rate_{axis}" for axis in "pqr"]
+    """Two kinds of faults; all kinds are in tests/fitting."""
     motors = [f"rpm_obs_{i}" for i in range(1, 5)]
     return {
-        "negated": {"att_theta": changed("att_theta", -1.0)},
-        "constant": {"rate_p": columns["rate_p"][:1] * len(columns["rate_p"])},
-        "swapped": {"vel_x": columns["vel_y"], "vel_y": columns["vel_x"]},
-        "late": {name: columns[name][:1] * 150 + columns[name][:-150] for name in rates},
-        "scaled": {f"vel_{x}": changed(f"vel_{x}", 1.5) for x in "xyz"},
+        "negated": {"att_theta": [repr(-float(value)) for value in columns["att_theta"]]},
         "turned": {motors[i]: columns[motors[(i + 1) % 4]] for i in range(4)},
     }
 

@@ -94,16 +94,12 @@ def racing_policy(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("target", ["indiflight", "px4", "crazyflie", "qjp"])
+@pytest.mark.parametrize("target", ["indiflight", "crazyflie", "qjp"])
 def test_a_racing_policy_is_exported_and_flown(target, racing_policy, tmp_path, monkeypatch):
+    """And for PX4 by the commands of docs/guide/autopilots.md, in tests/docs."""
     monkeypatch.chdir(tmp_path)
     ranges = [f"--range={name}={size}" for name, size in WIDE.items()]
     words = ("--output", "out", "--target", target, "--allow-unfinished", *ranges)
     assert run("export", racing_policy, *words) == 0
-    if target == "px4":  # the runtime is the same for all
-        words = ("--vectors", 100, "--allow-unfinished", "--json", "verify.json")
-        assert run("verify", "out", *words) == 0
-        results = json.loads(Path("verify.json").read_text())["results"]
-        assert len(results) == 9 and "fail" not in {row["verdict"] for row in results}
     assert run("sil", "out", "--simulator", "--laps", 1) == 0
     assert json.loads(Path("runs/sil/sil.json").read_text())["crashes"]

@@ -59,11 +59,17 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     )
 
 
+def written(file: Path) -> int:
+    """When a file was written, ns; 0: not yet."""
+    return file.stat().st_mtime_ns if file.exists() else 0
+
+
 def wait_for(condition, process: subprocess.Popen, seconds: float = 300.0) -> None:
     """Wait until a condition holds while a process runs."""
     end = time.monotonic() + seconds
     while not condition():
-        assert process.poll() is None and time.monotonic() < end
+        assert process.poll() is None, (process.stderr or process.stdout).read()
+        assert time.monotonic() < end
         time.sleep(0.05)
 
 
@@ -89,17 +95,19 @@ def test_a_folder_of_a_run_is_resumed_or_replaced_only_if_asked(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("preset", "end"), [("e2e", signal.SIGKILL), ("indi_ppo", signal.SIGINT)])
-def test_a_run_that_was_stopped_resumes_to_the_same_bits(tmp_path, preset, end):
-    arguments = short(preset, "run.steps=2048")
-    whole = quadjax.train(short_config(preset, "run.steps=2048"), tmp_path / "runs/whole")
-    process = start(tmp_path, "train", *arguments, "--name", "part")
+def test_a_run_that_was_stopped_twice_resumes_to_the_same_bits(tmp_path):
+    words = ("indi_ppo", "run.steps=4096")
+    whole = quadjax.train(short_config(*words), tmp_path / "runs/whole")
     folder = tmp_path / "runs/part"
-    wait_for(lambda: (folder / "policy_last.npz").exists(), process)
-    process.send_signal(end)
-    process.wait(60)
-    assert process.returncode == (130 if end == signal.SIGINT else -signal.SIGKILL)
-    process = start(tmp_path, "train", *arguments, "--name", "part", "--resume")
+    command, resume, saved = ("train", *short(*words), "--name", "part"), (), 0
+    for end, status in ((signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)):
+        process, resume = start(tmp_path, *command, *resume), ("--resume",)
+        wait_for(lambda: written(folder / "policy_last.npz") > saved, process)  # noqa: B023
+        process.send_signal(end)
+        process.wait(60)
+        assert process.returncode == status
+        saved = written(folder / "policy_last.npz")
+    process = start(tmp_path, *command, *resume)
     assert process.wait(300) == 0, process.stderr.read()
     assert same(whole.folder, folder)
 
