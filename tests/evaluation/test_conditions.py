@@ -233,10 +233,7 @@ def test_only_the_policy_with_the_estimate_finishes_under_a_moment_and_with_dama
     adaptive = quadjax.evaluate("e2e_residual_disturbance", races["estimated"], **fly)
     assert [row.finished for row in adaptive.rows] == [2, 2]
     zeros = quadjax.evaluate("e2e_residual_disturbance", races["none"], **fly)
-    without = quadjax.evaluate("e2e_residual", races["none"], **fly)
-    assert [row.finished for row in zeros.rows] == [0, 2]
-    assert [row.finished for row in without.rows] == [0, 0]
-    assert adaptive.rows[1].total < zeros.rows[1].total - 1.0
+    assert [row.finished for row in zeros.rows] == [0, 0]
 
 
 @pytest.mark.slow
