@@ -1,9 +1,9 @@
-"""Ship the median of the seeds of a preset: ``python -m benchmarks.ship ROW RUN...``.
+"""Copy a preset's median seed into the package: ``python -m benchmarks.ship ROW RUN...``.
 
-The runs are those of ``python -m benchmarks.results measure ROW RUN...``, in the same order. The
-policy that ships has the median time of the mean action, or, if it finishes fewer than 95 of 100
-sampled flights from random starts, the time nearest to the median of those that do. It becomes
-``quadjax/pretrained/PRESET.npz``, with the command of its training and the commit in its source.
+The runs are those of ``python -m benchmarks.results measure ROW RUN...``, in the same order. Of the
+policies that finish at least 95% of their sampled flights from random starts, it takes the one
+whose time with the mean action is nearest to the median of all. The policy is written to
+``quadjax/pretrained/PRESET.npz``; its ``source`` gets the training's command and commit.
 """
 
 import dataclasses
@@ -17,13 +17,13 @@ import quadjax
 from benchmarks.results import FILE
 from quadjax.core.resources import PRETRAINED
 
-LEAST = 0.95  # of the sampled flights from random starts
+MIN_FINISHED = 0.95  # of the sampled flights from random starts
 
 
 def median_of(times: Sequence[float], rates: Sequence[float]) -> int:
     """The index of the time nearest to the median, of the policies that finish often enough."""
     median = statistics.median(times)
-    often = [index for index, rate in enumerate(rates) if rate >= LEAST]
+    often = [index for index, rate in enumerate(rates) if rate >= MIN_FINISHED]
     return min(often, key=lambda index: abs(times[index] - median))
 
 

@@ -1,4 +1,4 @@
-"""What `quadjax show` prints, as text, and files of new tracks and vehicles."""
+"""The text that ``quadjax show`` prints, and files of new tracks and vehicles."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -29,13 +29,13 @@ from quadjax.vehicle.vehicle_file import VehicleFile
 
 PRESET = "e2e"  # the rules for a track file without rules
 Load = Callable[[str, Sequence[str]], Section]
-SCHEMAS: dict[str, tuple[type[Section], Load]] = {  # of files whose keys have descriptions
+SCHEMAS: dict[str, tuple[type[Section], Load]] = {  # kinds whose keys have descriptions
     "config": (Config, load_config),
     "plant": (PlantConfig, load_plant_config),
     "fit config": (FitConfig, load_fit_config),
 }
-NAMES = {"config": "", "track": "tracks", "vehicle": "vehicles", "plant": "plant"}
-NAMES |= {"fit config": "fit"}  # folders of configs/, by kind
+FOLDERS = {"config": "", "track": "tracks", "vehicle": "vehicles", "plant": "plant"}
+FOLDERS |= {"fit config": "fit"}  # in configs/, by kind
 COMMENT = "Source of the constants: docs/guide/race.md, Drone. A fit to logs gives better ones."
 
 
@@ -52,7 +52,7 @@ def kind_of(what: str) -> str:
         if "gates" in keys or keys & {"models", *MODELS}:
             return "track" if "gates" in keys else "vehicle"
         return max(SCHEMAS, key=lambda kind: len(keys & {*SCHEMAS[kind][0].model_fields}))
-    names = {kind: preset_names(folder) for kind, folder in NAMES.items()}
+    names = {kind: preset_names(folder) for kind, folder in FOLDERS.items()}
     names["policy"] = policy_names()
     for kind, shipped in names.items():
         if what.removesuffix(".yaml") in shipped:
@@ -60,7 +60,7 @@ def kind_of(what: str) -> str:
     if what and Path(what).is_dir():
         raise InputError(
             f"{what}: is a folder, allowed: a name that quadjax show lists, or a file: "
-            f"{', '.join(NAMES)} or policy"
+            f"{', '.join(FOLDERS)} or policy"
         )
     hint = close_match(what, [name for shipped in names.values() for name in shipped])
     name = what or repr(what)
@@ -83,7 +83,9 @@ def text_of(what: str, overrides: Sequence[str] = (), model_name: str | None = N
         _, load = SCHEMAS[kind]
         return commented_yaml(load(what, overrides)).rstrip("\n")
     if overrides:
-        raise InputError(f"{overrides[0]}: {what} is a {kind}; overrides change a config")
+        raise InputError(
+            f"{overrides[0]}: {what} is a {kind}; overrides change configs, plants and fit configs"
+        )
     if kind == "track":
         return track_text(read_track(what))
     if kind == "policy":

@@ -115,7 +115,7 @@ def replay(
 
 @dataclasses.dataclass(frozen=True)
 class Replay:
-    """A flight log next to a policy and a model.
+    """The comparison of a flight log with a policy and a model.
 
     Attributes:
         numbers: of the log, its laps, the commands and the predictions, as JSON takes them.

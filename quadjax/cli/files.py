@@ -1,4 +1,4 @@
-"""Files on a command line: told from overrides, and outputs that are refused before any work."""
+"""Files on the command line: how they differ from overrides, and checks of output paths."""
 
 import dataclasses
 import inspect
@@ -24,11 +24,11 @@ class Output:
 
 @dataclasses.dataclass(frozen=True)
 class OutputFolder:
-    """Marks an option with a folder that its command always writes to, also by default."""
+    """Marks an option that names a folder to write to; its default value is checked, too."""
 
 
 def option_name(name: str) -> str:
-    """The option of a command's argument: ``--plant-seed`` of ``plant_seed``."""
+    """The option that sets an argument of a command: ``--plant-seed`` for ``plant_seed``."""
     return f"--{name.strip('_').replace('_', '-')}"
 
 
@@ -40,15 +40,15 @@ def is_override(text: str) -> bool:
 
 
 def check_outputs(command: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
-    """Refuse output files and folders before any work is done.
+    """Check output files and folders before any work is done.
 
     Args:
-        command: whose annotations mark outputs by ``Output`` and ``OutputFolder``.
-        arguments: those of the command line, by their names.
+        command: function whose annotations ``Output`` and ``OutputFolder`` mark the outputs.
+        arguments: the arguments of the command line, by name.
 
     Raises:
-        InputError: as ``check_writable`` and ``writable_folder``, or an output that is the file of
-            another argument.
+        InputError: an output that ``check_writable`` or ``writable_folder`` rejects, or that is the
+            file of another argument.
     """
     files = list(_files(arguments))
     hints = get_type_hints(command, include_extras=True)
@@ -70,7 +70,7 @@ def check_outputs(command: Callable[..., Any], arguments: Mapping[str, Any]) -> 
 
 
 def _files(arguments: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """The arguments that may be files, also as values of overrides: names and real paths."""
+    """Name and real path of each argument, or value of an override, that may be a file."""
     files = []
     for name, values in arguments.items():
         for value in values if isinstance(values, (list, tuple)) else [values]:
@@ -84,7 +84,7 @@ def _files(arguments: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def check_writable(path: Path, suffixes: Sequence[str] = (), overwrite: bool = True) -> None:
-    """Refuse an output path before any work is done.
+    """Check the path of an output file before any work is done.
 
     Args:
         path: of a file to write.
@@ -111,10 +111,10 @@ def check_writable(path: Path, suffixes: Sequence[str] = (), overwrite: bool = T
 
 
 def writable_folder(text: str) -> Path:
-    """The path of a folder that can be written; of a new one, the nearest existing folder.
+    """The path of a folder, after a check that it, or its nearest existing parent, is writable.
 
     Raises:
-        ValueError: a file, or no permission.
+        ValueError: the path of a file, or no permission to write.
     """
     folder = Path(text)
     nearest = next(path for path in (folder, *folder.parents) if path.exists())

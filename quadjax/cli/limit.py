@@ -107,7 +107,7 @@ def _search(
     bound_speed: float | None,
     npz: Path | None,
 ) -> "Result":
-    """The best known flight and its lower bound; the flight is saved before it is bounded."""
+    """The best known flight with its lower bound; saves the flight before computing the bound."""
     from quadjax.limits.result import best_known
 
     with interruptions(STOPPING) as stopped, steps() as show:

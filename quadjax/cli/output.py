@@ -51,7 +51,7 @@ class _Lines:
         self.timer = threading.Timer(SECONDS, self._print)
 
     def report(self, text: str) -> None:
-        """Take the text of a step; another step starts the time anew, a new amount does not."""
+        """Set the text; a new step restarts the timer, a new amount of the same step does not."""
         step, self._text = AMOUNT.sub("", text), text
         if step != self._step:
             self._step = step

@@ -45,7 +45,7 @@ def show(
     - a track: the gates, length and slope of the leg to each, the turn there;
     - a vehicle: hover command, thrust-to-weight ratio, largest body rates and
       time constants of each model in the file, and implausible values;
-    - a policy (FILE.npz, or the name of a shipped one): network and source.
+    - a policy (FILE.npz; a shipped one: NAME.npz): network and source.
 
     With --write, the file WHAT is written first: a random track from settings
     such as seed and gates, or a vehicle from data of its airframe such as mass

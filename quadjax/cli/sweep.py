@@ -73,7 +73,7 @@ def sweep(
 
 
 def _run(plan: "Sweep", folder: Path, overwrite: bool) -> tuple["Study", bool]:
-    """Run the trials and print their report; the study, and whether nothing stopped it."""
+    """Run the trials and print their report; returns the study, and False if it was stopped."""
     with loading():
         from quadjax.sweeps.report import write_report
         from quadjax.sweeps.run import run_sweep, train_and_fly

@@ -81,6 +81,6 @@ def verify(
 
 
 def _status(text: str) -> None:
-    """Replace the last line of a terminal."""
+    """Replace the last line of stderr, if it is a terminal."""
     if sys.stderr.isatty():
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)

@@ -15,7 +15,7 @@ Handler = Callable[[int, FrameType | None], object] | int | None
 
 @contextmanager
 def _handled(handler: Callable[[int, FrameType | None], object]) -> Iterator[dict[int, Handler]]:
-    """Call a function at Ctrl-C and SIGTERM in the block; yields the handlers before it."""
+    """Call a function on Ctrl-C and SIGTERM in the block; yields the previous handlers."""
     if threading.current_thread() is not threading.main_thread():
         yield {}
         return

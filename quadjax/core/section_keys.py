@@ -64,7 +64,7 @@ def value_at(section: BaseModel, key: str, missing: object = None) -> object:
 
 
 def with_value(section: SectionType, key: str, value: object) -> SectionType:
-    """A section with another value at a dotted key; only the field is checked.
+    """A section with another value at a dotted key; only that field is validated.
 
     Raises:
         InputError: no such key, or a value that is not allowed.

@@ -30,7 +30,7 @@ DISTANCE = 1.0  # m before the gate
 VELOCITY, ROLL_PITCH, RATES = 0.5, math.pi / 9, 0.1  # half-widths: m/s, rad, rad/s
 ALIKE = (LAPS, "hover", False)  # protocol of the published flights
 MAX_LAPS = 64  # that one flight of a given duration is counted for
-RECORDED_STATES = 100_000  # of all runs, up to which their states are kept
+RECORDED_STATES = 100_000  # of all runs together: with more, states are not kept
 
 
 def simulate(
@@ -52,8 +52,8 @@ def simulate(
         actor: computes the actions.
 
     Returns:
-        The row with the published one of the same race and protocol, if any. Its record repeats the
-        flights if they have more than ``RECORDED_STATES``.
+        The row, with that of the published flights of the same race and protocol, if any. Its
+        record simulates the flights again if they have more than ``RECORDED_STATES`` states.
 
     Raises:
         InputError: a policy that does not fit the race, or a start that random tracks lack.

@@ -114,7 +114,7 @@ def place(state: TrainState, mesh: Mesh) -> TrainState:
 
 
 def placed_shapes(shapes: TrainState, mesh: Mesh) -> TrainState:
-    """The shapes of a state that is laid out over the mesh."""
+    """Shapes of a state, with its shardings over the mesh."""
     return jax.tree.map(
         lambda leaf, where: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=where),
         shapes,
@@ -157,7 +157,7 @@ def compile_options() -> dict[str, bool]:
     return {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
 
 
-@functools.lru_cache(maxsize=8)  # the same function is traced once
+@functools.lru_cache(maxsize=8)  # JAX traces a function object once
 def repeat(update: Update, count: int) -> Update:
     """A number of updates as one function, with the metrics of each, (count,)."""
 

@@ -52,13 +52,14 @@ def bind(
 ) -> Learner:
     """The learner of a section, whose updates have a ``length`` of steps in ``num_envs`` agents.
 
-    ``init(task, hyper, key)`` and ``update(task, hyper, state)`` are those of the algorithm. With
-    the same environment and networks the learner has the same functions, which are traced once.
+    ``init(task, hyper, key)`` and ``update(task, hyper, state)`` are those of the algorithm.
+    Learners of one algorithm with the same environment and networks share their functions, which
+    JAX traces once.
     """
     arguments = (environment, networks, init, update)
     try:
         functions = _bound(*arguments)
-    except TypeError:  # an environment or networks of the user's without a hash
+    except TypeError:  # the user's environment or networks are not hashable
         functions = _bound.__wrapped__(*arguments)
     return Learner(*functions, as_leaves(section), section.num_envs * length)
 

@@ -185,20 +185,20 @@ def schedule_learner(
     return dataclasses.replace(learner, init=init, update=update, hyper=hyper)
 
 
-@functools.lru_cache(maxsize=8)  # the same functions are traced once
+@functools.lru_cache(maxsize=8)  # JAX traces a function object once
 def _scheduled(
-    first: Callable[[Tree, Tree, jax.Array], TrainState], then: Update
+    learner_init: Callable[[Tree, Tree, jax.Array], TrainState], learner_update: Update
 ) -> tuple[Callable[[Scheduled, Tree, jax.Array], TrainState], Update]:
-    """``init`` and ``update`` of a learner with the numbers of schedules."""
+    """``init`` and ``update`` of a learner whose numbers follow schedules."""
 
     def init(hyper: Scheduled, params: Tree, key: jax.Array) -> TrainState:
-        begin, lowest = jnp.zeros((), jnp.int32), jnp.zeros(())
-        state = first(*hyper.at(begin, lowest, params), key)
+        first, lowest = jnp.zeros((), jnp.int32), jnp.zeros(())
+        state = learner_init(*hyper.at(first, lowest, params), key)
         return state if hyper.curriculum is None else dataclasses.replace(state, level=lowest)
 
     def update(hyper: Scheduled, params: Tree, state: TrainState) -> tuple[TrainState, Metrics]:
         level = None if hyper.curriculum is None else state.level
-        following, metrics = then(*hyper.at(state.update, level, params), state)
+        following, metrics = learner_update(*hyper.at(state.update, level, params), state)
         if hyper.curriculum is None:
             return following, metrics
         if "pass_rate" not in metrics:
@@ -217,7 +217,11 @@ def _make_schedules(
     plan: Plan,
     steps: int,
 ) -> tuple[Knots, ...]:
-    """The knots of all schedules, which may not change the same number."""
+    """The knots of all schedules.
+
+    Raises:
+        InputError: two schedules that change the same number.
+    """
     built: list[Knots] = []
     keys: dict[int, str] = {}  # of the schedule of each leaf
     for key, schedule in schedules.items():

@@ -187,7 +187,7 @@ class LearnerSection(Section):
         )
 
     def _networks(self, environment: Environment, network: Network | Networks) -> Networks:
-        """The networks for an environment; those with the user's own functions as they are."""
+        """The networks for an environment; ``Networks`` of the user are returned unchanged."""
         if not isinstance(network, Network):
             return network
         sizes = environment.observation_size, environment.action_size, network.hidden

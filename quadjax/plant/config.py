@@ -58,7 +58,7 @@ class RotorConfig(Section):
     """Aerodynamics of the rotors."""
 
     radius: NonNegative = Field(
-        0.0, description="m; 0: that of the vehicle's thrust at a coefficient of 0.13"
+        0.0, description="m; 0: from the vehicle's thrust, with a thrust coefficient of 0.13"
     )
     height: NonNegative = Field(0.02, description="m above the center of gravity; assumed")
     advance_loss: NonNegative = Field(1.2, description="c of C_T = C_T0 (1 - c J^2)")
@@ -230,7 +230,7 @@ class PlantConfig(Section):
 
     name: str = Field("standin", pattern=r"^[\w-][\w.-]*$", description="folder of results")
     vehicle: str = Field("bebop1.yaml", description="the training model's file in configs/vehicles")
-    mass: Positive | None = Field(None, description="kg (default: that of the vehicle's file)")
+    mass: Positive | None = Field(None, description="kg; null: that of the vehicle file")
     sample_rate: float = Field(
         500.0, ge=500, le=100_000, description="Hz, of physics, sensors, filters and inner loop"
     )

@@ -34,7 +34,7 @@ from quadjax.vehicle.rate import RateCommand
 CHUNK_SECONDS = 1.0  # of flight between checks for the end
 PARTS = ("vehicle", "track", "battery")  # sections of a stored config that describe the drone
 SAME_STEP = 1e-6  # relative difference of time steps that count as equal
-SAME_HOVER, SAME_TURN = 1.25, 2.0  # factors, up to which two drones count as the same
+SAME_HOVER, SAME_ROLL = 1.25, 2.0  # largest factors between numbers of the same drone
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,14 +128,14 @@ def plan_logs(
 
 
 def check_drone(plant: PlantConfig, model: MotorConstants) -> None:
-    """Check that the plant is a drone of the kind that a policy was trained for.
+    """Check that the plant is the drone that a policy was trained for.
 
-    A fit to flights of a drone, damage and another payload change the speed of its hover and its
-    angular acceleration by less than ``SAME_HOVER`` and ``SAME_TURN``.
+    The propeller speed in hover may differ by the factor ``SAME_HOVER``, and the roll acceleration
+    from one rotor at that speed by ``SAME_ROLL``: more than by a fit, damage or another payload.
 
     Args:
         plant: of the plant.
-        model: the constants of the training.
+        model: constants that the policy was trained with.
 
     Raises:
         InputError: another drone.
@@ -143,13 +143,18 @@ def check_drone(plant: PlantConfig, model: MotorConstants) -> None:
     vehicle = nominal_vehicle(plant)
     drones = (vehicle.motor, model)
     hover = [float(hover_rpm(c)) for c in drones]  # rpm
-    turn = [float(c.k_p / c.i_xx) * speed**2 for c, speed in zip(drones, hover, strict=True)]
-    for (here, there), factor in ((hover, SAME_HOVER), (turn, SAME_TURN)):
-        if not 1.0 / factor <= here / there <= factor:
+    roll = [float(c.k_p / c.i_xx) * speed**2 for c, speed in zip(drones, hover, strict=True)]
+    compared = (
+        ("a propeller speed in hover", "rpm", hover, SAME_HOVER),
+        ("a roll acceleration from one rotor in hover", "rad/s^2", roll, SAME_ROLL),
+    )
+    for quantity, unit, (plant_value, policy_value), factor in compared:
+        if not 1.0 / factor <= plant_value / policy_value <= factor:
             raise InputError(
-                f"the plant {plant.name} is a {vehicle.name}, which hovers at {hover[0]:.0f} rpm; "
-                f"the policy is of another drone, which hovers at {hover[1]:.0f} rpm: name its "
-                "file, vehicle=FILE, or a plant's config with base: plant/standin and vehicle: FILE"
+                f"plant {plant.name}: its drone, {vehicle.name}, has {quantity} of "
+                f"{plant_value:.0f} {unit}, but the policy was trained for another drone, with "
+                f"{policy_value:.0f} {unit}; allowed: vehicle=FILE with that drone, or a plant "
+                "config with base: plant/standin and vehicle: FILE"
             )
 
 

@@ -91,9 +91,9 @@ def nominal_vehicle(config: PlantConfig) -> VehicleFile:
 
 
 def filled(config: PlantConfig) -> PlantConfig:
-    """The config with mass, propellers and battery of its vehicle where they are not set.
+    """The config with mass, propeller radius and battery from its vehicle where they are not set.
 
-    The propellers have the thrust coefficient of the Bebop 1's, 0.13.
+    The radius follows from the vehicle's thrust and the Bebop 1's thrust coefficient, 0.13.
 
     Raises:
         InputError: a vehicle file that cannot be read, or that has no mass.
@@ -101,9 +101,9 @@ def filled(config: PlantConfig) -> PlantConfig:
     vehicle, motors = nominal_vehicle(config), nominal_vehicle(config).motor
     mass = config.mass or vehicle.mass
     if mass is None:
-        raise InputError(f"{vehicle.path}: mass is missing, which the plant needs; allowed: kg")
-    newtons = mass * motors.k_w / (BEBOP_MASS * BEBOP_K_W)  # per rpm^2, of the Bebop's
-    radius = config.rotors.radius or BEBOP_RADIUS * newtons**0.25
+        raise InputError(f"{vehicle.path}: mass is missing; the plant needs it, in kg")
+    thrust = mass * motors.k_w / (BEBOP_MASS * BEBOP_K_W)  # per rpm^2, relative to the Bebop's
+    radius = config.rotors.radius or BEBOP_RADIUS * thrust**0.25
     return config.replace(
         mass=mass,
         rotors=config.rotors.replace(radius=radius),

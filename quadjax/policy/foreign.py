@@ -100,7 +100,7 @@ def policy_of(
 
 
 def _activation(path: Path | str, network: Network, activation: str | None) -> str:
-    """The activation of a network's hidden layers: that of its file, or the one that is named."""
+    """The activation of a network's hidden layers: that in its file, or else the argument."""
     if network.activation and activation and network.activation != activation:
         raise InputError(f"{path}: its activation is {network.activation}, not {activation}")
     activation = network.activation or activation

@@ -38,7 +38,7 @@ def layout_of_release_1(
         path: the file, for messages.
         meta: with ``vehicle`` and ``observation``.
         low: (4,) lowest command; the actuators are observed over the range of the commands.
-        high: (4,)
+        high: (4,) highest command.
 
     Raises:
         InputError: an unknown vehicle or an invalid observation.

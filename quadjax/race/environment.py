@@ -139,7 +139,7 @@ def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
     )
 
 
-@functools.lru_cache(maxsize=8)  # programs of the functions are traced once
+@functools.lru_cache(maxsize=8)  # JAX traces a function object once
 def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
     """The environment of ``choices`` with the interface that learners use."""
 

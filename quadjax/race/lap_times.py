@@ -1,4 +1,4 @@
-"""The lap times of flights, the score that they make, and the form that JSON takes."""
+"""The lap times of flights, with their score and their JSON form."""
 
 import dataclasses
 import math

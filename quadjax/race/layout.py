@@ -1,6 +1,6 @@
 """Layouts: the named fields of an observation, in order; their numbers, history and files.
 
-The section of a config that says which fields a layout has is in ``race.observation_config``.
+The config section that selects the fields is in ``quadjax.race.observation_config``.
 """
 
 import dataclasses

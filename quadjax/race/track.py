@@ -149,7 +149,7 @@ def make_track(section: TrackSection) -> Track:
     angles = np.radians([(g.roll_deg, g.pitch_deg, g.yaw_deg) for g in gates]).astype(np.float32)
     roll, pitch, yaw = angles.T
     circle = np.array([g.shape == "circle" for g in gates])
-    # In NumPy, which compiles nothing; cosine and sine are those of the compiled programs.
+    # NumPy compiles nothing; cosine and sine are JAX's, which equal those of compiled programs.
     cosine, sine = np.asarray(jnp.cos(yaw)), np.asarray(jnp.sin(yaw))
     to_next = np.roll(position, -1, axis=0) - position
     next_yaw = np.roll(yaw, -1) - yaw

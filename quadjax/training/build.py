@@ -39,7 +39,7 @@ def training_environment(config: Config) -> Environment[RaceParams, RaceState]:
     return _environment(make_choices(config), input_scale(config), privileged_constants(config))
 
 
-@functools.lru_cache(maxsize=8)  # trainings that differ in numbers share traced programs
+@functools.lru_cache(maxsize=8)  # trainings that differ only in numbers share traces
 def _environment(
     choices: Choices, scale: tuple[float, ...], constants: tuple[tuple[str, float], ...]
 ) -> Environment[RaceParams, RaceState]:

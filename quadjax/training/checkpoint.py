@@ -85,7 +85,7 @@ class Checkpoints:
         """The state in the checkpoint.
 
         Args:
-            shapes: of the state in a run of the same config, with its layout on the devices; see
+            shapes: shapes and shardings of the state of a run of the same config; see
                 ``quadjax.learners.parallel.placed_shapes``.
 
         Raises:

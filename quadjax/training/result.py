@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # of Orbax, which takes a second to import
     from quadjax.training.checkpoint import RunState
 
 NUMBER, OPTIONAL_NUMBER = int | float, int | float | None
-SUMMARY = {  # keys of summary.json and the types of their values, without those of the score
+SUMMARY = {  # keys of summary.json, except the scores, and the types of their values
     "name": str,
     "seed": int,
     "finished": bool,
@@ -108,7 +108,8 @@ def write_summary(
 ) -> None:
     """Write ``summary.json`` of a run, ``finished`` if all steps were trained.
 
-    The scores are those of ``run.score``: ``best_lap_total``, or ``best_episode_reward``.
+    ``run.score`` names the scores: ``best_lap_total`` and ``last_lap_total``, or
+    ``best_episode_reward`` and ``last_episode_reward``.
     """
     rows = saved_rows(folder / "metrics.csv")
     score = config.run.score_name

@@ -173,7 +173,7 @@ def _run(
 
 
 def _row(config: Config, progress: Progress, run_state: RunState, laps: Laps) -> Row:
-    """A row of ``metrics.csv``: the score under its name, a reward with its sign."""
+    """A row of ``metrics.csv``; a reward is positive there, unlike in the score."""
     name, sign = config.run.score_name, -1.0 if config.run.score == "reward" else 1.0
     return {
         "steps": progress.steps,
@@ -205,8 +205,8 @@ def _compile(
 ) -> tuple[Chunk, TrainState]:
     """The compiled chunk, and the first state: ``restored``, if it is not None.
 
-    The evaluation is compiled at the same time. Compilation runs in threads, so that this one
-    receives signals. So does the check of the vehicle, which compiles a simulation of it.
+    The evaluation is compiled at the same time. Compilation and the check of the vehicle, which
+    compiles a simulation, run in threads, so that the calling thread receives signals.
     """
     learner, params, mesh = job.learner, job.params, job.mesh
 

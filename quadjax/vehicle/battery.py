@@ -28,11 +28,11 @@ class BatteryConfig(Section):
         (0.6, 1.0), description="lowest, highest at the start"
     )
     rpm_full: Positive | None = Field(
-        None, description="rpm at the full voltage (default: 12/11 of rpm_max; assumed)"
+        None, description="rpm at the full voltage; null: 12/11 of rpm_max; assumed"
     )
 
     def filled(self, rpm_max: float) -> Self:
-        """With its ``rpm_full`` in a drone whose highest command is ``rpm_max``, rpm."""
+        """The battery with ``rpm_full``, if None, from the drone's highest command, rpm."""
         return self if self.rpm_full else self.replace(rpm_full=12.0 * rpm_max / 11.0)
 
 
@@ -50,7 +50,7 @@ class BatteryParams(struct.PyTreeNode):
 def battery_params(
     config: BatteryConfig, hover_rpm: Scalar, rpm_max: Scalar, strength: float = 1.0
 ) -> BatteryParams:
-    """The numbers of a battery in a drone with these speeds in hover and at most, rpm."""
+    """The numbers of a battery in a drone with these propeller speeds, rpm: hover and highest."""
     numbers = {
         "strength": strength,
         "drop": config.drop / config.voltage,

@@ -88,7 +88,7 @@ def test_the_race_is_the_policys_own():
 def test_a_policy_of_another_drone_is_refused():
     config = load_config("e2e", [f"vehicle={DRONE}"])
     policy = untrained_policy(config)
-    with pytest.raises(InputError, match="is a Parrot Bebop 1, .* 7497 rpm.* 12500 rpm: .*vehicle"):
+    with pytest.raises(InputError, match="Parrot Bebop 1, .* 7497 rpm.* 12500 rpm; .*vehicle"):
         plan_race(config, PLANT, policy)
     plan_race(config, PLANT.replace(vehicle=str(DRONE)), policy)
     heavy = load_config("e2e", ["vehicle.constants.k_w=3.5e-8"])  # by a quarter
