@@ -63,9 +63,9 @@ def check_outputs(command: Callable[..., Any], arguments: Mapping[str, Any]) -> 
                 real = os.path.realpath(value)
                 others = [other for other, file in files if file == real and other != name]
                 if others:
-                    option = option_name(name)
                     raise InputError(
-                        f"{option} {value}: is also {others[0]}, allowed: another file"
+                        f"{option_name(name)} {value}: is also the file of the argument "
+                        f"{others[0]}, allowed: another file"
                     )
 
 
