@@ -116,7 +116,9 @@ def test_trials_are_pruned_or_fail_and_a_budget_of_time_ends_the_sweep(tmp_path)
     sweep, directory, study = open_small(tmp_path, name="failing", **grid)
     assert run_small(sweep, directory, stand_in.impossible)
     failed = [t for t in trials_over(study) if t.state == State.FAIL]
-    assert len(trials_over(study)) == 4 and len(failed) == 2
+    # Two workers may take the same point at the same time (optuna.samplers.GridSampler).
+    points = {(t.state == State.FAIL, *t.params.values()) for t in trials_over(study)}
+    assert len(points) == 4 and sum(point[0] for point in points) == 2
     assert failed[0].user_attrs["error"] == "track: the gates overlap"
 
     sweep, directory, study = open_small(tmp_path, "budget.seconds=1e-3", name="short")
