@@ -163,8 +163,8 @@ def _facts(race: PolicyRace) -> Facts:
     keystr = functools.partial(jax.tree_util.keystr, simple=True, separator=".")
     facts: Facts = {
         "vehicle.model": race.choices.model.name,
-        "vehicle.residual": "none" if params.vehicle.residual is None else "two networks",
         "gate_test": params.rules.gate_test,
         "the number of gates": len(params.track.yaw),
+        "vehicle.residual": "none" if params.vehicle.residual is None else "two networks",
     }
     return facts | {keystr(path): np.asarray(leaf) for path, leaf in leaves}

@@ -150,7 +150,8 @@ def make_track(section: TrackSection) -> Track:
     roll, pitch, yaw = angles.T
     circle = np.array([g.shape == "circle" for g in gates])
     # NumPy compiles nothing; cosine and sine are JAX's, which equal those of compiled programs.
-    cosine, sine = np.asarray(jnp.cos(yaw)), np.asarray(jnp.sin(yaw))
+    with jax.ensure_compile_time_eval():  # also where a program is traced
+        cosine, sine = np.asarray(jnp.cos(yaw)), np.asarray(jnp.sin(yaw))
     to_next = np.roll(position, -1, axis=0) - position
     next_yaw = np.roll(yaw, -1) - yaw
     if not closed:

@@ -80,7 +80,7 @@ POLICIES = [  # words of the message, changes of the policy, its race or its exp
         ("time_step is 0.0.* in training, 0.00.* here", "rules.time_step=0.005"),
         ("gate_test is square in training, world_box here", "rules.gate_test=world_box"),
         (
-            "vehicle.residual.* is none in .*, other num.* here",
+            "vehicle.residual is none in .*, two networks here",
             "vehicle.residual=standin_residual.npz",
         ),
     )
