@@ -1,7 +1,6 @@
 """What all learners share: rollouts, targets of the value, gradient steps on minibatches."""
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -12,9 +11,17 @@ from flax import struct
 
 from quadjax.core.environment import Environment, vectorize, where_done
 from quadjax.core.gradients import Scalar
+from quadjax.core.sharing import cached
 from quadjax.core.traced import as_leaves
 from quadjax.learners.parallel import AXIS, constrain
-from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, TrainState, Update
+from quadjax.learners.state import (
+    ActorCritic,
+    Learner,
+    Metrics,
+    Networks,
+    TrainState,
+    Update,
+)
 
 Carry = TypeVar("Carry")
 Results = TypeVar("Results")
@@ -56,15 +63,11 @@ def bind(
     Learners of one algorithm with the same environment and networks share their functions, which
     JAX traces once.
     """
-    arguments = (environment, networks, init, update)
-    try:
-        functions = _bound(*arguments)
-    except TypeError:  # the user's environment or networks are not hashable
-        functions = _bound.__wrapped__(*arguments)
+    functions = _bound(environment, networks, init, update)
     return Learner(*functions, as_leaves(section), section.num_envs * length)
 
 
-@functools.lru_cache(maxsize=8)
+@cached
 def _bound(
     environment: Environment,
     networks: Networks,

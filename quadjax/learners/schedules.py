@@ -8,7 +8,6 @@ traced: other numbers for the same leaves do not trigger recompilation.
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal, NoReturn
 
@@ -19,6 +18,7 @@ from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.core.sections import LARGEST, Field, Section
+from quadjax.core.sharing import cached
 from quadjax.learners.loop import Plan
 from quadjax.learners.state import Learner, Metrics, TrainState, Update
 
@@ -185,7 +185,7 @@ def schedule_learner(
     return dataclasses.replace(learner, init=init, update=update, hyper=hyper)
 
 
-@functools.lru_cache(maxsize=8)  # JAX traces a function object once
+@cached
 def _scheduled(
     learner_init: Callable[[Tree, Tree, jax.Array], TrainState], learner_update: Update
 ) -> tuple[Callable[[Scheduled, Tree, jax.Array], TrainState], Update]:

@@ -91,7 +91,7 @@ def nominal_vehicle(config: PlantConfig) -> VehicleFile:
 
 
 def filled(config: PlantConfig) -> PlantConfig:
-    """The config with mass, propeller radius and battery from its vehicle where they are not set.
+    """The config with mass and propeller radius from its vehicle where they are not set.
 
     The radius follows from the vehicle's thrust and the Bebop 1's thrust coefficient, 0.13.
 
@@ -104,11 +104,7 @@ def filled(config: PlantConfig) -> PlantConfig:
         raise InputError(f"{vehicle.path}: mass is missing; the plant needs it, in kg")
     thrust = mass * motors.k_w / (BEBOP_MASS * BEBOP_K_W)  # per rpm^2, relative to the Bebop's
     radius = config.rotors.radius or BEBOP_RADIUS * thrust**0.25
-    return config.replace(
-        mass=mass,
-        rotors=config.rotors.replace(radius=radius),
-        battery=config.battery.filled(float(motors.rpm_max)),
-    )
+    return config.replace(mass=mass, rotors=config.rotors.replace(radius=radius))
 
 
 def build_plant(config: PlantConfig) -> PlantParams:

@@ -18,6 +18,7 @@ from quadjax.core.environment import Environment
 from quadjax.core.gradients import clip_inward
 from quadjax.core.integrators import INTEGRATORS
 from quadjax.core.materialize import materialize, materialize_cotangent, materializing
+from quadjax.core.sharing import cached
 from quadjax.core.traced import with_leaves
 from quadjax.race.episode import reset
 from quadjax.race.layout import push_past
@@ -139,7 +140,7 @@ def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
     )
 
 
-@functools.lru_cache(maxsize=8)  # JAX traces a function object once
+@cached
 def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
     """The environment of ``choices`` with the interface that learners use."""
 

@@ -1,7 +1,6 @@
 """From a config to a learner on the racing environment."""
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,6 +14,7 @@ from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.mlp import Layer
+from quadjax.core.sharing import cached
 from quadjax.learners.loop import Plan
 from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.state import ActorCritic, Learner, Networks, TrainState
@@ -39,7 +39,7 @@ def training_environment(config: Config) -> Environment[RaceParams, RaceState]:
     return _environment(make_choices(config), input_scale(config), privileged_constants(config))
 
 
-@functools.lru_cache(maxsize=8)  # trainings that differ only in numbers share traces
+@cached  # trainings that differ only in numbers share traces
 def _environment(
     choices: Choices, scale: tuple[float, ...], constants: tuple[tuple[str, float], ...]
 ) -> Environment[RaceParams, RaceState]:

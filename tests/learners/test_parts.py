@@ -1,5 +1,6 @@
 """The pieces of the learners against loops written out by hand."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import jax
@@ -7,13 +8,17 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from quadjax.config.assembly import make_choices
+from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
+from quadjax.learners import parallel
 from quadjax.learners.loop import plan_chunks
 from quadjax.learners.parallel import choose_devices
 from quadjax.learners.ppo import PPO, Batch, loss
 from quadjax.learners.rollout import Steps, clip, run_epochs, td_lambda
 from quadjax.learners.shac import SHAC, total_return
 from quadjax.learners.state import ActorCritic
+from quadjax.training.build import _environment, training_environment
 
 TIME, COUNT = 30, 7
 
@@ -148,3 +153,17 @@ def test_a_run_has_the_steps_that_are_asked_for():
         assert wanted < plan.updates <= wanted + plan.updates_per_chunk
     plan = plan_chunks(16_000_000, 250_000, 12288)  # as a preset plans it
     assert (plan.updates_per_chunk, plan.chunks, plan.steps) == (21, 63, 21 * 63 * 12288)
+
+
+def test_updates_are_shared_unless_they_have_code_of_the_user():
+    environment, other = (
+        training_environment(load_config("e2e", [x])) for x in ("seed=1", "seed=2")
+    )
+    assert environment is other
+    assert parallel.repeat(environment.step, 2) is parallel.repeat(environment.step, 2)
+    assert parallel.repeat(environment.step, 2) is not parallel.repeat(environment.step, 3)
+    update = lambda hyper, params, state: (state, {})  # noqa: E731
+    assert parallel.repeat(update, 2) is not parallel.repeat(update, 2)
+    terms = make_choices(load_config("e2e"))
+    terms = dataclasses.replace(terms, user_terms=(("mine", update),))
+    assert _environment(terms, (), ()) is not _environment(terms, (), ())

@@ -112,7 +112,8 @@ def test_mass_propellers_and_battery_of_another_drone_are_those_of_its_file(tmp_
     config = load_plant_config("standin", [f"vehicle={DRONE}"])
     assert filled(PlantConfig()).rotors.radius == 0.07
     complete = filled(config)
-    assert complete.mass == 0.6 and complete.battery.rpm_full == pytest.approx(25000 * 12 / 11)
+    full = float(build_plant(config).battery.rpm_full)
+    assert complete.mass == 0.6 and full == pytest.approx(25000 * 12 / 11)
     thrust, turns = 0.6 * 1.5696e-08, 1.0 / 60.0  # N of a rotor, turns a second, at 1 rpm
     coefficient = thrust / (1.225 * turns**2 * (2.0 * complete.rotors.radius) ** 4)
     assert coefficient == pytest.approx(0.13, abs=0.001)

@@ -1,0 +1,38 @@
+"""Functions that build functions, and return the same one for the same arguments."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar, cast
+
+Arguments = ParamSpec("Arguments")
+Built = TypeVar("Built")
+
+
+def cached(build: Callable[Arguments, Built]) -> Callable[Arguments, Built]:
+    """Keep the last eight results of a function that builds functions: JAX traces each only once.
+
+    Nothing is kept where an argument has code of the user, which may read what changes later.
+    """
+    kept: Callable[..., Any] = functools.lru_cache(maxsize=8)(build)
+
+    @functools.wraps(build)
+    def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Built:
+        shared = _is_of_package((*args, *kwargs.values()))
+        return cast(Built, kept(*args, **kwargs)) if shared else build(*args, **kwargs)
+
+    return call
+
+
+def _is_of_package(value: object) -> bool:
+    """Whether all functions and objects in a value are of this package."""
+    if isinstance(value, tuple):
+        return all(map(_is_of_package, value))
+    if isinstance(value, functools.partial):
+        return _is_of_package((value.func, *value.args, *value.keywords.values()))
+    if isinstance(value, (str, int, float, type(None))):
+        return True
+    if not str(getattr(value, "__module__", "")).startswith("quadjax."):
+        return False
+    inner = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
+    return all(_is_of_package(getattr(value, field.name)) for field in inner)
