@@ -10,11 +10,12 @@ import dataclasses
 import json
 import shlex
 import statistics
-import sys
 from collections.abc import Sequence
 
 import quadjax
 from benchmarks.results import FILE
+from quadjax.cli import script
+from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 
 MIN_FINISHED = 0.95  # of the sampled flights from random starts
@@ -27,13 +28,20 @@ def median_of(times: Sequence[float], rates: Sequence[float]) -> int:
     return min(often, key=lambda index: abs(times[index] - median))
 
 
-def main(name: str, *folders: str) -> None:
-    """Write the policy and print its seed."""
-    data = json.loads(FILE.read_text(encoding="utf-8"))
-    (row,) = (row for row in data["presets"] if row["name"] == name)
+def ship(name: str, /, *folders: str) -> None:
+    """Write the policy and print its seed.
+
+    Args:
+        name: Row of the preset in benchmarks/results.json.
+        folders: Runs of its seeds, in the order of the row.
+    """
+    rows = {row["name"]: row for row in json.loads(FILE.read_text(encoding="utf-8"))["presets"]}
+    if name not in rows:
+        raise InputError(f"{name}: no such row, allowed: {', '.join(rows)}")
+    row = rows[name]
     runs = [quadjax.Run.load(folder) for folder in folders]
     if [run.config.seed for run in runs] != row["seeds"]:
-        sys.exit(f"{name}: the seeds of the runs are not those of the row, {row['seeds']}")
+        raise InputError(f"{name}: the seeds of the runs are not those of the row, {row['seeds']}")
     finished = row["finished"]["sampled, random"]
     index = median_of(row["total"]["mean"], [count / row["flights"] for count in finished])
     policy, seed = runs[index].policy, row["seeds"][index]
@@ -45,4 +53,4 @@ def main(name: str, *folders: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    script(ship)
