@@ -28,7 +28,7 @@ FIRST = ("e2e_residual_disturbance", "indi")  # their flights are logged
 FIT = ("logs.min_seconds=1", "logs.max_scale_error=0.5", "figures=false")
 SHORT = ("split.folds=3", "residual.mirror=off", "residual.seeds=3")  # a third of the time
 FULL = "schedules.vehicle.residual_gain=null"  # from the first step: the first policies fly without
-AHEAD = "start.heading=inside_turn"  # as in preset e2e: otherwise some turn the wrong way
+AHEAD = "start.heading=inside_turn"  # otherwise some policies turn against the track
 TURN = "schedules.start.yaw_deg={linear: [0.0, value], from: 0.2, until: 0.5}"
 CONTENDERS: dict[str, tuple[str, ...]] = {
     "E2E, residual": ("e2e", "+residual", FULL),

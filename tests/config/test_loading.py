@@ -87,7 +87,7 @@ def test_another_algorithm_starts_from_its_own_defaults():
     config = load_config("e2e", ["learner.algorithm=ppo", "learner.num_epochs=2"])
     assert (config.learner.algorithm, config.learner.num_epochs) == ("ppo", 2)
     assert config.learner.learning_rate == 7e-4
-    assert set(config.schedules) == {"start.yaw_deg", "reward.pitch_up"}
+    assert set(config.schedules) == {"reward.pitch_up"}
     assert load_config("e2e", ["learner.algorithm=shac"]).learner.ema_rate == 0.03
 
 

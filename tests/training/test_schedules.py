@@ -16,6 +16,10 @@ TINY = [
     "run.steps=640",
     "run.evaluate_every=64",
 ]
+TURN = [
+    "start.heading=inside_turn",
+    "schedules.start.yaw_deg={linear: [0.0, value], from: 0.125, until: 0.3125}",
+]
 
 
 def at(config, *updates):
@@ -30,9 +34,9 @@ def tiny(name, *overrides):
     return load_config(name, [*TINY, *overrides])
 
 
-def test_the_default_preset_from_start_to_end():
+def test_schedules_from_start_to_end():
     """Of 10 updates, yaw and pitch change from 1.25 to 3.125, the residual to 5.625."""
-    config = tiny("e2e +residual", "observation.disturbance=estimated")
+    config = tiny("e2e +residual", "observation.disturbance=estimated", *TURN)
     whole = make_params(config)
     kernel = np.asarray(whole.vehicle.residual.moment[-1][0])
     shares = {0: (0, 0), 1: (0, 0), 2: (0.4, 0), 4: (1, 0.35), 5: (1, 0.75), 6: (1, 1), 10: (1, 1)}
