@@ -91,6 +91,8 @@ def measure(row: Row, policies: Sequence[str]) -> None:
         row |= {"seeds": [run.config.seed for run in runs], "steps": runs[0].summary["steps"]}
         times = [run.summary["seconds"] for run in runs]
         row["time"] = f"{min(times):.0f}-{max(times):.0f} s"
+        trained = {run.summary["provenance"]["device"] for run in runs} - {row["machine"]}
+        row["machine"] += "".join(f"; trained on {device}" for device in sorted(trained))
 
 
 def main(*words: str) -> None:
