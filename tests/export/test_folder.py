@@ -61,7 +61,9 @@ def test_all_checks_of_an_exported_folder(flown):
     assert [result.check for result in results] == ["files", *CHECKS]
     for result in results:
         if result.verdict == SKIPPED and result.check in ALLOWANCES:
-            assert result.figure.endswith(f"allowed by {ALLOWANCES[result.check][0]}=True")
+            option, reason = ALLOWANCES[result.check]  # of real flights, among others
+            assert reason in result.figure
+            assert result.figure.endswith(f"allowed by {option}=True")
         elif result.verdict == SKIPPED:
             module = re.match(r"no (?:compiler or emulator for ARM|(\w+); pip)", result.figure)
             assert module and not toolchain.has_module(module[1] or "ziglang"), result.figure
@@ -69,8 +71,6 @@ def test_all_checks_of_an_exported_folder(flown):
             assert result.verdict == PASSED, result.figure
     figures = {result.check: result.figure for result in results}
     assert "instructions" in figures["processor"] and "missed" in figures["simulator"]
-    refused = run.verify(flown, COUNT, 8, only=("own flights",))[-1]  # of real flights
-    assert refused.verdict == FAILED and ALLOWANCES["own flights"][1] in refused.figure
 
 
 @pytest.mark.parametrize("check", ALLOWANCES)
@@ -266,12 +266,12 @@ def test_ctrl_c_on_the_emulator_ends_the_verification(exported, monkeypatch):
     machine = pytest.importorskip("quadjax.export.verify.machine")
     if not toolchain.has_module("ziglang"):
         pytest.skip("no compiler for ARM")
-    block = machine.Machine._block
+    instructions = machine.Machine._instructions
 
     def interrupted(self, *place):
         signal.raise_signal(signal.SIGINT)
-        return block(self, *place)
+        return instructions(self, *place)
 
-    monkeypatch.setattr(machine.Machine, "_block", interrupted)
+    monkeypatch.setattr(machine.Machine, "_instructions", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run.verify(exported, COUNT, only=("processor",))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
-from unicorn import UC_ARCH_ARM, UC_HOOK_CODE, UC_MODE_ARM, UC_MODE_MCLASS, UC_MODE_THUMB, Uc
+from unicorn import UC_ARCH_ARM, UC_HOOK_BLOCK, UC_MODE_ARM, UC_MODE_MCLASS, UC_MODE_THUMB, Uc
 from unicorn.arm_const import (
     UC_ARM_REG_C1_C0_2,
     UC_ARM_REG_FPEXC,
@@ -32,7 +32,7 @@ HEAP, HEAP_SIZE = 0x4000_0000, 1 << 28
 RETURN = 0x3000_0000  # an address that holds no code: the end of a call
 PAINT = 0xA5
 ARGUMENTS = (UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3)
-IT, LONG = 0xBF, 0x1D  # Thumb: upper byte of an IT instruction; first bits of one of four bytes
+LONG = 0x1D  # Thumb: first bits of an instruction of four bytes
 APPLICATION, MICROCONTROLLER = UC_MODE_ARM, UC_MODE_THUMB | UC_MODE_MCLASS
 MODELS = {
     "Cortex-A9": (APPLICATION, UC_CPU_ARM_CORTEX_A9),
@@ -61,6 +61,7 @@ class Machine:
             self._cpu.reg_write(UC_ARM_REG_FPEXC, 0x40000000)
         self._free = HEAP
         self._signals: list[int] = []  # that have come during a call
+        self._blocks: dict[tuple[int, int], int] = {}  # instructions by address and size
 
     def _load(self, path: Path) -> None:
         with open(path, "rb") as stream:
@@ -108,45 +109,40 @@ class Machine:
             self._cpu.emu_start(self.symbols[name], RETURN)
         return self._cpu.reg_read(UC_ARM_REG_R0)
 
-    def _block(self, address: int, size: int) -> dict[int, int]:
-        """What an executed instruction counts, by address.
-
-        The emulator does not report instructions of a Thumb IT block whose condition is false.
-        So the IT instruction counts for its whole block.
-        """
-        word = int.from_bytes(self._cpu.mem_read(address, 2), "little")
-        mask = word & 0xF
-        if not self._thumb or size != 2 or word >> 8 != IT or mask == 0:
-            return {address: 1}
-        inside = 4 - (mask & -mask).bit_length() + 1  # 1 to 4 instructions
-        weights, following = {address: 1 + inside}, address + 2
-        for _ in range(inside):
-            weights[following] = 0
-            first = int.from_bytes(self._cpu.mem_read(following, 2), "little")
-            following += 4 if first >> 11 >= LONG else 2
-        return weights
+    def _instructions(self, address: int, size: int) -> int:
+        """How many instructions a block of code has."""
+        if not self._thumb:
+            return size // 4
+        halves = np.frombuffer(self._cpu.mem_read(address, size), "<u2")
+        count = position = 0
+        while position < len(halves):
+            position += 2 if halves[position] >> 11 >= LONG else 1
+            count += 1
+        return count
 
     def count(self, name: str, *arguments: int) -> tuple[int, int]:
         """Instructions and bytes of stack that one call takes.
 
         An instruction whose condition is false counts, as the processor takes a cycle for it.
         """
-        counted, weights = [0], {}
+        counted = 0
 
-        def step(_cpu: Uc, address: int, size: int, _data: object) -> None:
-            if address not in weights:
-                weights.update(self._block(address, size))
-            counted[0] += weights[address]
+        def block(_cpu: Uc, address: int, size: int, _data: object) -> None:
+            """Count a block, which begins and ends with a jump: all of it is executed."""
+            nonlocal counted
+            if (address, size) not in self._blocks:
+                self._blocks[address, size] = self._instructions(address, size)
+            counted += self._blocks[address, size]
             if self._signals:
                 self._cpu.emu_stop()
 
         bottom = STACK_TOP - STACK_SIZE
         self._cpu.mem_write(bottom, bytes([PAINT]) * STACK_SIZE)
         self._cpu.ctl_flush_tb()  # code that was translated without the hook would not be counted
-        hook = self._cpu.hook_add(UC_HOOK_CODE, step)
+        hook = self._cpu.hook_add(UC_HOOK_BLOCK, block)
         self.call(name, *arguments)
         self._cpu.hook_del(hook)
         self._cpu.ctl_flush_tb()
         painted = np.frombuffer(self._cpu.mem_read(bottom, STACK_SIZE - 64), np.uint8)
         used = np.flatnonzero(painted != PAINT)
-        return counted[0], 0 if not used.size else len(painted) - int(used[0])
+        return counted, 0 if not used.size else len(painted) - int(used[0])
