@@ -10,12 +10,12 @@ import quadjax
 from tests.commands import run
 
 TOTALS = {  # shipped policy: preset of its race, mean of ten deterministic flights, s
-    "e2e_residual": ("e2e +residual", 13.86),
-    "e2e_residual_disturbance": ("e2e +residual +disturbance", 14.22),
-    "e2e_fastest": ("e2e +fastest", 12.79),
-    "e2e": ("e2e", 13.78),
-    "indi_fastest": ("indi +fastest", 16.14),
-    "indi": ("indi", 17.14),
+    "e2e_residual": ("e2e +residual", 13.93),
+    "e2e_residual_disturbance": ("e2e +residual +disturbance", 14.24),
+    "e2e_fastest": ("e2e +fastest", 12.87),
+    "e2e": ("e2e", 14.00),
+    "indi_fastest": ("indi +fastest", 16.28),
+    "indi": ("indi", 17.89),
 }
 
 
