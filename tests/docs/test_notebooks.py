@@ -32,7 +32,7 @@ SMALL = {
         'FIT = ["residual.seeds=1", "residual.epochs=3", "residual.mirror=off"]',
         # A residual of three epochs is zero, so its schedule would have no effect.
         f"OVERRIDES = {[*SHORT, 'schedules.vehicle.residual_gain=null']}",
-        "FLIGHTS, LAPS, STEPS = 2, 1, 512",
+        "FLIGHTS, LAPS, STEPS = 1, 1, 512",
         "ROLL, THRUST, RUNS, SEED = (0.0,), (1.0,), 2, 0",
         f'EXPORT = {{"allow_unfinished": True, "ranges": {WIDE}}}',
         'VERIFY = "--vectors 100 --allow-unfinished"',

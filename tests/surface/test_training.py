@@ -96,7 +96,7 @@ def test_a_folder_of_a_run_is_resumed_or_replaced_only_if_asked(
 
 @pytest.mark.slow
 def test_a_run_that_was_stopped_twice_resumes_to_the_same_bits(tmp_path):
-    words = ("indi_ppo", "run.steps=4096")
+    words = ("indi_ppo", "run.steps=2048")
     whole = quadjax.train(short_config(*words), tmp_path / "runs/whole")
     folder = tmp_path / "runs/part"
     command, resume, saved = ("train", *short(*words), "--name", "part"), (), 0
