@@ -13,7 +13,6 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from textwrap import fill
-from typing import Any
 
 import quadjax
 from quadjax.core.markdown import table
@@ -22,7 +21,6 @@ ROOT = Path(__file__).resolve().parents[1]
 FILE, PAGE = ROOT / "benchmarks" / "results.json", ROOT / "docs" / "design" / "results.md"
 BLOCK = re.compile(r"(<!-- results: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")
-Row = dict[str, Any]
 
 
 def spread(values: list[float] | None) -> str:
@@ -33,13 +31,13 @@ def spread(values: list[float] | None) -> str:
     return median if len(values) == 1 else f"{median} ({low}-{high})"
 
 
-def finished(row: Row, condition: str) -> str:
+def finished(row: dict, condition: str) -> str:
     """Number of flights that finish, of those of all seeds."""
     counts = row["finished"].get(condition)
     return f"{sum(counts)}/{row['flights'] * len(counts)}" if counts else "-"
 
 
-COLUMNS: dict[str, Callable[[Row], str]] = {
+COLUMNS: dict[str, Callable[[dict], str]] = {
     **{key: lambda row, key=key: row[key] for key in ("policy", "race", "trained with", "time")},
     "name": lambda row: f"`{row['name']}`",
     **{f"{c}, s": lambda row, c=c: spread(row["total"].get(c)) for c in CONDITIONS},
@@ -75,7 +73,7 @@ def render(data: dict[str, list], page: str) -> str:
     return BLOCK.sub(lambda match: f"{match[1]}\n{made[match[2]]}\n\n{match[3]}", page)
 
 
-def measure(row: Row, policies: Sequence[str]) -> None:
+def measure(row: dict, policies: Sequence[str]) -> None:
     """Replace the numbers of a row by those of policies."""
     runs = [quadjax.Run.load(path) for path in policies if Path(path).is_dir()]
     loaded = [run.policy for run in runs] or [quadjax.Policy.load(path) for path in policies]
@@ -89,10 +87,10 @@ def measure(row: Row, policies: Sequence[str]) -> None:
     row["finished"] = {name: [r.finished for r in rows] for name, rows in named.items()}
     if runs:
         row |= {"seeds": [run.config.seed for run in runs], "steps": runs[0].summary["steps"]}
-        times = [run.summary["seconds"] for run in runs]
-        row["time"] = f"{min(times):.0f}-{max(times):.0f} s"
-        trained = {run.summary["provenance"]["device"] for run in runs} - {row["machine"]}
-        row["machine"] += "".join(f"; trained on {device}" for device in sorted(trained))
+        low, *_, high = sorted(run.summary["seconds"] for run in runs)
+        devices = {run.summary["provenance"]["device"] for run in runs} - {row["machine"]}
+        row["time"] = f"{low:.0f}-{high:.0f} s"
+        row["machine"] = "; trained on ".join([row["machine"], *sorted(devices)])
 
 
 def main(*words: str) -> None:

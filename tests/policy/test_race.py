@@ -93,7 +93,7 @@ def test_a_file_without_a_race_is_refused_by_every_command(policy, races, tmp_pa
 
 def test_a_named_config_comes_first():
     policy = Policy.load("e2e_residual_disturbance")
-    assert race_of_policy(policy)[0].name == "e2e_residual_disturbance_seed4"
+    assert race_of_policy(policy)[0].name == "e2e_residual_disturbance_seed3"
     assert race_of_policy(policy, config="e2e")[0] == load_config("e2e")
     flown, origin = race_of_policy(policy, track="figure8")
     assert origin == "the policy file's config, track figure8"
