@@ -1,7 +1,6 @@
 """Write the tables of docs/design/results.md from benchmarks/results.json (make results).
 
-``python -m benchmarks.results measure ROW POLICY...`` evaluates policies (folders of runs, one for
-each seed, or files) in the race of a row, and replaces its numbers, commit and machine.
+``python -m benchmarks.results measure ROW POLICY...`` evaluates files or folders of runs first.
 """
 
 import json
@@ -9,12 +8,13 @@ import math
 import re
 import statistics
 import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from textwrap import fill
 
 import quadjax
+from quadjax.cli import script
+from quadjax.core.errors import InputError
 from quadjax.core.markdown import table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -88,18 +88,18 @@ def measure(row: dict, policies: Sequence[str]) -> None:
     if runs:
         row |= {"seeds": [run.config.seed for run in runs], "steps": runs[0].summary["steps"]}
         low, *_, high = sorted(run.summary["seconds"] for run in runs)
-        devices = {run.summary["provenance"]["device"] for run in runs} - {row["machine"]}
         row["time"] = f"{low:.0f}-{high:.0f} s"
+        devices = {run.summary["provenance"]["device"] for run in runs} - {row["machine"]}
         row["machine"] = "; trained on ".join([row["machine"], *sorted(devices)])
 
 
-def main(*words: str) -> None:
+def results(*words: str) -> None:
     """Measure the row that is named, if any, and write file and page."""
     data = json.loads(FILE.read_text(encoding="utf-8"))
     if words:
         rows = {row["name"]: row for part in data.values() for row in part if "name" in row}
         if words[0] != "measure" or len(words) < 3 or words[1] not in rows:
-            sys.exit(f"allowed: measure ROW POLICY..., with ROW one of: {', '.join(rows)}")
+            raise InputError(f"{words[0]}: allowed: measure ROW POLICY..., ROW: {', '.join(rows)}")
         measure(rows[words[1]], words[2:])
         parts = [f'"{k}": [\n' + ",\n".join(map(json.dumps, v)) + "\n]" for k, v in data.items()]
         FILE.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
@@ -107,4 +107,4 @@ def main(*words: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    script(results)

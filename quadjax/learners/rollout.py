@@ -14,14 +14,7 @@ from quadjax.core.gradients import Scalar
 from quadjax.core.sharing import cached
 from quadjax.core.traced import as_leaves
 from quadjax.learners.parallel import AXIS, constrain
-from quadjax.learners.state import (
-    ActorCritic,
-    Learner,
-    Metrics,
-    Networks,
-    TrainState,
-    Update,
-)
+from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, TrainState, Update
 
 Carry = TypeVar("Carry")
 Results = TypeVar("Results")
