@@ -13,11 +13,14 @@ of 16 steps 3.0e6, 3.0e6 and 1.2e6 (a loop's body is counted once).
 On other backends everything here is the plain function.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+
+from quadjax.core.sharing import cached
 
 Result = TypeVar("Result")
 Tree = TypeVar("Tree")
@@ -31,12 +34,15 @@ def call_directly(function: Callable[..., Result], *arguments: Any) -> Result:
 
 @jax.custom_vjp
 def _conditional(tree: Tree, opaque_true: jax.Array) -> Tree:
-    return jax.lax.cond(
-        opaque_true,
-        lambda values: values,
-        lambda values: jax.tree.map(jnp.zeros_like, values),
-        tree,
-    )
+    return jax.lax.cond(opaque_true, _same, _zeros_like, tree)
+
+
+def _same(tree: Tree) -> Tree:
+    return tree
+
+
+def _zeros_like(tree: Tree) -> Tree:
+    return jax.tree.map(jnp.zeros_like, tree)
 
 
 def _forward(tree: Tree, opaque_true: jax.Array) -> tuple[Tree, jax.Array]:
@@ -93,33 +99,40 @@ def materializing(opaque_true: jax.Array, gradients: bool = False) -> Caller:
     """
 
     def call(function: Callable[..., Result], *arguments: Any) -> Result:
-        def differentiated(arguments: tuple, opaque_true: jax.Array) -> Result:
-            result = function(*arguments)
-            return materialize(result, opaque_true) if gradients else result
-
-        return _inside_conditional(function, differentiated)(arguments, opaque_true)
+        return _inside_conditional(function, gradients)(arguments, opaque_true)
 
     return call if jax.default_backend() == "cpu" else call_directly
 
 
+@functools.partial(cached, count=64)  # a function is traced once for all programs that call it
 def _inside_conditional(
-    function: Callable[..., Result], differentiated: Callable[[tuple, jax.Array], Result]
-) -> Callable[[tuple, jax.Array], Result]:
-    """``function`` inside a conditional; ``differentiated`` in its place where gradients flow."""
+    function: Callable[..., Any], gradients: bool
+) -> Callable[[tuple, jax.Array], Any]:
+    """``function`` of a tuple of arguments and the flag, inside a conditional.
+
+    Where gradients flow it is the plain function, with ``gradients`` materialized.
+    """
+    inlined = jax.jit(function, inline=True)  # keeps its trace
+
+    def compute(arguments: tuple) -> Any:
+        return inlined(*arguments)
+
+    def zeros(arguments: tuple) -> Any:
+        shapes = jax.eval_shape(inlined, *arguments)
+        return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
 
     @jax.custom_vjp
-    def once(arguments: tuple, opaque_true: jax.Array) -> Result:
-        shapes = jax.eval_shape(function, *arguments)
+    def once(arguments: tuple, opaque_true: jax.Array) -> Any:
+        return jax.lax.cond(opaque_true, compute, zeros, arguments)
 
-        def zeros(_: tuple) -> Result:
-            return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    def forward(arguments: tuple, opaque_true: jax.Array) -> tuple[Any, Callable]:
+        def differentiated(values: tuple) -> Any:
+            result = function(*values)
+            return materialize(result, opaque_true) if gradients else result
 
-        return jax.lax.cond(opaque_true, lambda values: function(*values), zeros, arguments)
+        return jax.vjp(differentiated, arguments)
 
-    def forward(arguments: tuple, opaque_true: jax.Array) -> tuple[Result, Callable]:
-        return jax.vjp(lambda values: differentiated(values, opaque_true), arguments)
-
-    def backward(pull: Callable, cotangent: Result) -> tuple:
+    def backward(pull: Callable, cotangent: Any) -> tuple:
         return pull(cotangent)[0], None
 
     once.defvjp(forward, backward)

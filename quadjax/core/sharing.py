@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import types
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -9,12 +10,12 @@ Arguments = ParamSpec("Arguments")
 Built = TypeVar("Built")
 
 
-def cached(build: Callable[Arguments, Built]) -> Callable[Arguments, Built]:
-    """Keep the last eight results of a function that builds functions: JAX traces each only once.
+def cached(build: Callable[Arguments, Built], count: int = 8) -> Callable[Arguments, Built]:
+    """Keep the last results of a function that builds functions: JAX traces each only once.
 
     Nothing is kept where an argument has code of the user, which may read what changes later.
     """
-    kept: Callable[..., Any] = functools.lru_cache(maxsize=8)(build)
+    kept: Callable[..., Any] = functools.lru_cache(maxsize=count)(build)
 
     @functools.wraps(build)
     def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Built:
@@ -30,9 +31,17 @@ def _is_of_package(value: object) -> bool:
         return all(map(_is_of_package, value))
     if isinstance(value, functools.partial):
         return _is_of_package((value.func, *value.args, *value.keywords.values()))
+    if isinstance(value, types.MethodType):
+        return _is_of_package((value.__func__, value.__self__))
     if isinstance(value, (str, int, float, type(None))):
         return True
     if not str(getattr(value, "__module__", "")).startswith("quadjax."):
         return False
     inner = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
     return all(_is_of_package(getattr(value, field.name)) for field in inner)
+
+
+@functools.partial(cached, count=64)
+def bound(function: Callable[..., Built], *args: Any, **kwargs: Any) -> Callable[..., Built]:
+    """``functools.partial``, the same one for equal arguments."""
+    return functools.partial(function, *args, **kwargs)

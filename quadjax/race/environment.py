@@ -18,10 +18,10 @@ from quadjax.core.environment import Environment
 from quadjax.core.gradients import clip_inward
 from quadjax.core.integrators import INTEGRATORS
 from quadjax.core.materialize import materialize, materialize_cotangent, materializing
-from quadjax.core.sharing import cached
+from quadjax.core.sharing import bound, cached
 from quadjax.core.traced import with_leaves
 from quadjax.race.episode import reset
-from quadjax.race.layout import push_past
+from quadjax.race.layout import Layout, push_past
 from quadjax.race.rewards import clipped_action, reward
 from quadjax.race.rules import NOT_FINITE, evaluate_rules
 from quadjax.race.track import gate, gate_count
@@ -37,7 +37,7 @@ def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array
     params = params.on_track(state.track)
     once = materializing(params.opaque_true, gradients=True)
     step = Step(choices.model, params, state, once(gate, params.track, state.target))
-    return jnp.stack(once(choices.layout.numbers, step))
+    return jnp.stack(once(bound(Layout.numbers, choices.layout), step))
 
 
 def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
@@ -80,9 +80,9 @@ def transition(
     """
     params, model = params.on_track(state.track), choices.model
     once = materializing(params.opaque_true, gradients=True)
-    after = once(functools.partial(_simulate, choices), params, state, action)
+    after = once(bound(_simulate, choices), params, state, action)
     g = once(gate, params.track, state.target)
-    rules = functools.partial(evaluate_rules, user_rules=choices.user_rules)
+    rules = bound(evaluate_rules, user_rules=choices.user_rules)
     outcome = once(rules, Step(model, params, state, g, after))
     invalid = outcome.crashes[NOT_FINITE]
     drone = jax.tree.map(lambda new, old: jnp.where(invalid, old, new), after, state.drone)
