@@ -144,8 +144,7 @@ class Replay:
         write_text(folder / "table.txt", self.table() + "\n")
         write_json(folder / "replay.json", self.numbers)
         for label, figure in self.figures.items():
-            for suffix in FORMATS:
-                save_figure(figure, folder / f"{label}.{suffix}")
+            save_figure(figure, *(folder / f"{label}.{suffix}" for suffix in FORMATS))
 
 
 def _policy_commands(

@@ -226,8 +226,7 @@ class Report:
         content = {"groups": record, "provenance": provenance(self.config)}
         write_json(folder / "report.json", content)
         for name, figure in self.figures():
-            for suffix in FORMATS:
-                save_figure(figure, folder / f"{name}.{suffix}")
+            save_figure(figure, *(folder / f"{name}.{suffix}" for suffix in FORMATS))
         return self.table("text")
 
 
