@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from quadjax.flights.gates import passages
@@ -207,6 +206,8 @@ class Flight:
         Positions follow the cubic curve of positions and velocities, attitudes the shortest turns,
         other signals straight lines.
         """
+        from scipy.interpolate import CubicHermiteSpline  # takes long to import
+
         steps = np.diff(self.time) * rate / RATE
         if len(steps) < 1 or (steps.min() >= SHORTEST_STEP and steps.max() <= LONGEST_STEP):
             return self
