@@ -2,15 +2,16 @@
 
 The trainings of the quickstart run; those of the other pages leave the policy as it begins, write
 no checkpoint, and end without a lap table: their race is traced. Trials of a sweep train nothing.
-``compare``, ``improve`` and ``limit``, which take minutes, read their arguments and files only:
-``tests/plant``, ``tests/improve`` and ``tests/limits`` run them. The blocks of a page run in order
-in one folder. Python blocks share a namespace; a block with a title is written to a file of
-that name; shell blocks consist of ``quadjax`` commands.
+``compare``, ``fit``, ``improve`` and ``limit`` read their arguments and files only, ``verify`` on
+all pages but one: ``tests/evaluation``, ``tests/improve`` and ``tests/surface`` run them. The
+blocks of a page run in order in one folder. Python blocks share a namespace; a block with a title
+is written to a file of that name; shell blocks consist of ``quadjax`` commands.
 """
 
 import dataclasses
 import re
 import shlex
+import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,8 +24,12 @@ import pytest
 import yaml
 from matplotlib.figure import Figure
 
-from quadjax import compare, improve
-from quadjax.evaluation import training
+from quadjax import compare, improve, replay
+from quadjax.core.resources import CONFIGS, PRETRAINED
+from quadjax.evaluation import report, training
+from quadjax.export.verify import run as verification
+from quadjax.fitting import fit
+from quadjax.fitting import report as fit_report
 from quadjax.learners import parallel
 from quadjax.limits import result as limit
 from quadjax.race.laps import Laps
@@ -40,13 +45,14 @@ from tests.sweeps.stand_in import nothing
 
 NO_LAPS = Laps(np.full((1, 1), np.nan), ("out of time",), np.ones(1), 1.0)
 TRAINED = ("docs/getting_started/quickstart.md",)
+VERIFIED = ("docs/guide/autopilots.md",)  # as it is; tests/surface/test_c.py, too
 OPTIONS = {  # added to a command, unless it has them
-    "seeds": ["--seeds", "0", "--runs", "2"],
-    "evaluate": ["--runs", "2", "--laps", "1"],
-    "conditions": ["--runs", "2"],  # of evaluate, too, which have their own laps
+    "seeds": ["--seeds", "0", "--runs", "1"],
+    "evaluate": ["--runs", "1", "--laps", "1"],  # as view: of one shape, compiled once
+    "conditions": ["--runs", "1"],  # of evaluate, too, which have their own laps
     "flights": [],
     "improve": ["network.hidden=[8]"],
-    "logs": ["--flights", "1"],
+    "logs": ["--flights", "1", "--laps", "1"],
     "sil": ["--laps", "1"],
     "view": ["--laps", "1"],
     "compare": ["--runs", "2", "--laps", "1", "--parts", "table"],
@@ -107,6 +113,13 @@ def unchanged(learner, mesh, updates, params, state):
     return lambda _, state: (state, {"reward": jnp.zeros(updates)})
 
 
+def write_fitted(_, folder):
+    """As ``fitting.report.write_results``, of a shipped drone."""
+    shutil.copy(CONFIGS / "vehicles/bebop1.yaml", folder / "vehicle.yaml")
+    shutil.copy(PRETRAINED / "standin_residual.npz", folder / "residual.npz")
+    return []
+
+
 def in_this_process(command, **options):
     """As ``subprocess.run`` of ``python -m quadjax ARGUMENTS``."""
     assert command[1:3] == ["-m", "quadjax"]
@@ -128,13 +141,21 @@ def train_nothing(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("page", GUIDE, ids=name_of)
 def test_blocks_run(page, folder, monkeypatch):
+    for module in (replay, report):
+        monkeypatch.setattr(module, "FORMATS", ("png",))
     monkeypatch.setattr(compare, "compare", lambda *_: "")
     monkeypatch.setattr(improve, "improve", lambda *_: "")
+    monkeypatch.setattr(fit, "fit", lambda *_: None)
+    for name, stand_in in {"write_results": write_fitted, "write_figures": lambda *_: []}.items():
+        monkeypatch.setattr(fit_report, name, stand_in)
+    monkeypatch.setattr(fit_report, "tables", lambda _: "")
     search = MagicMock()  # its result has an empty figure
     search.return_value.bounded.return_value.plot.return_value = Figure()
     monkeypatch.setattr(limit, "best_known", search)
     if name_of(page) not in TRAINED:
         train_nothing(monkeypatch)
+    if name_of(page) not in VERIFIED:
+        monkeypatch.setattr(verification, "verify", lambda *_, **__: [])
     namespace: dict[str, object] = {"__name__": "block", "_load": load_short}
     for block in blocks_of(page):
         if block.setup:

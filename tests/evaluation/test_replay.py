@@ -7,7 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import quadjax
+from quadjax import replay
 from quadjax.core.resources import CONFIGS
+from quadjax.evaluation import report
 from quadjax.fitting.flight_log import write_log
 from quadjax.fitting.formats import PLAIN
 from quadjax.flights import Flight, Signal
@@ -44,6 +46,15 @@ def _log(path, flight, step):
     write_log(path, columns)
 
 
+@pytest.fixture(autouse=True)
+def formats(monkeypatch):
+    """Of the figures, that one test reads: none."""
+    formats = replay.FORMATS
+    monkeypatch.setattr(replay, "FORMATS", ())
+    monkeypatch.setattr(report, "FORMATS", ())
+    return formats
+
+
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     """A deterministic flight of a shipped policy without disturbances, and its log."""
@@ -62,7 +73,10 @@ def replayed(folder, log, *options):
 
 
 @pytest.mark.slow
-def test_the_policy_of_a_flight_commands_what_the_log_has(flown, tmp_path, capsys):
+def test_the_policy_of_a_flight_commands_what_the_log_has(
+    flown, formats, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(replay, "FORMATS", formats)
     log, lap_times = flown
     found = replayed(tmp_path, log, "--policy", POLICY, "--json", tmp_path / "r.json")
     text = capsys.readouterr().out
