@@ -1,7 +1,7 @@
 """A small sweep, whose trainings are a short sleep or nothing.
 
 ``python -m tests.sweeps.stand_in FILE RUNS [key=value ...]`` is ``quadjax sweep`` without its
-trainings.
+trainings and figures.
 """
 
 import os
@@ -14,7 +14,7 @@ import optuna
 from quadjax import cli
 from quadjax.core.errors import InputError
 from quadjax.core.yaml_files import to_yaml
-from quadjax.sweeps import run
+from quadjax.sweeps import report, run
 from quadjax.sweeps.study import open_study, trials_over
 from quadjax.sweeps.sweep import Sweep, load_sweep
 from quadjax.sweeps.workers import LocalWorkers, RayWorkers
@@ -102,5 +102,5 @@ def impossible(sweep, params, seed, folder, enough):
 if __name__ == "__main__":
     from tests.sweeps import stand_in  # so that workers find ``measure`` by its module
 
-    run.train_and_fly = stand_in.measure
+    run.train_and_fly, report.draw = stand_in.measure, lambda *_: None
     sys.exit(cli.run(["sweep", sys.argv[1], "--output", *sys.argv[2:]]))
