@@ -120,8 +120,7 @@ def _starts(
 
         return jax.vmap(hover_on, out_axes=-1)(tracks)
     if start == "before_gate":
-        before = jax.vmap(functools.partial(start_before_gate, choices), (None, 0), -1)
-        return jax.jit(before)(params, jax.random.split(key, runs))
+        return starts_before_gate(choices, params, jax.random.split(key, runs))
     if start == "random":  # a compiled program rounds random starts differently
         return race.starting_states(choices, params, key, runs, from_hover=False)
     return hover_starts(choices, params, key, runs, True, start == "around")
@@ -166,3 +165,9 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
     zero = jnp.zeros((), jnp.int32)
     fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
     return with_memory(choices, params, fresh)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def starts_before_gate(choices: Choices, params: RaceParams, keys: jax.Array) -> RaceState:
+    """``start_before_gate`` for each key (n,), batched along the last axis."""
+    return jax.vmap(functools.partial(start_before_gate, choices), (None, 0), -1)(params, keys)

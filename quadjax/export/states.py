@@ -10,6 +10,7 @@ import numpy as np
 
 from quadjax.core import quaternion
 from quadjax.core.quaternion import Quaternion
+from quadjax.core.sharing import bound
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.export.race_source import PolicyRace
 from quadjax.export.race_tables import LAST_COMMAND, state_sizes
@@ -25,7 +26,7 @@ from quadjax.vehicle.protocol import State, VehicleModel
 
 def example_state(choices: Choices, params: RaceParams) -> State:
     """A vehicle's state as shapes."""
-    return jax.eval_shape(functools.partial(episode.hover_start, choices), params).drone
+    return jax.eval_shape(bound(episode.hover_start, choices), params).drone
 
 
 def drone_of(layout: Layout, model: VehicleModel, example: State, numbers: jax.Array) -> State:
