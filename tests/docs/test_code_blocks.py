@@ -3,9 +3,10 @@
 The trainings of the quickstart run; those of the other pages leave the policy as it begins, write
 no checkpoint, and end without a lap table: their race is traced. Trials of a sweep train nothing.
 ``compare``, ``fit``, ``improve`` and ``limit`` read their arguments and files only, ``verify`` on
-all pages but one: ``tests/evaluation``, ``tests/improve`` and ``tests/surface`` run them. The
-blocks of a page run in order in one folder. Python blocks share a namespace; a block with a title
-is written to a file of that name; shell blocks consist of ``quadjax`` commands.
+all pages but one: ``tests/evaluation``, ``tests/improve`` and ``tests/surface`` run them. Flights
+of exported C end early. The blocks of a page run in order in one folder. Python blocks share a
+namespace; a block with a title is written to a file of that name; shell blocks consist of
+``quadjax`` commands.
 """
 
 import dataclasses
@@ -33,6 +34,7 @@ from quadjax.fitting import report as fit_report
 from quadjax.learners import parallel
 from quadjax.limits import result as limit
 from quadjax.race.laps import Laps
+from quadjax.sil import run as sil
 from quadjax.sweeps import run as sweeps
 from quadjax.training import inputs
 from quadjax.training import run as training_run
@@ -41,6 +43,7 @@ from quadjax.training.checkpoint import Checkpoints
 from tests.commands import run
 from tests.docs.pages import GUIDE, ROOT, blocks_of, name_of
 from tests.docs.smaller import CODE, WIDE, load_short, short_overrides, smaller
+from tests.sil.support import short_world
 from tests.sweeps.stand_in import nothing
 
 NO_LAPS = Laps(np.full((1, 1), np.nan), ("out of time",), np.ones(1), 1.0)
@@ -154,6 +157,7 @@ def test_blocks_run(page, folder, monkeypatch):
     monkeypatch.setattr(limit, "best_known", search)
     if name_of(page) not in TRAINED:
         train_nothing(monkeypatch)
+    monkeypatch.setattr(sil, "make_world", short_world)
     if name_of(page) not in VERIFIED:
         monkeypatch.setattr(verification, "verify", lambda *_, **__: [])
     namespace: dict[str, object] = {"__name__": "block", "_load": load_short}

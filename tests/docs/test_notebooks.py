@@ -43,7 +43,7 @@ SMALL = {
         "RUNS, LAPS, SEED = 2, 1, 0",
     ],
     "train": [
-        "STEPS, SEED, RUNS = 512, 0, 2",
+        "STEPS, SEED, RUNS = 512, 0, 1",
         'CHANGE = ("slow", ["learner.learning_rate=1e-4"])',
         f"OVERRIDES = {SHORT}",
     ],

@@ -10,11 +10,19 @@ import numpy as np
 from quadjax.race.laps import Laps
 from quadjax.sil.message import CommandKind, Kind, MessageError, new, pack, unpack
 from quadjax.sil.peer import ADDRESS, greeted, listening
-from quadjax.sil.worlds import Now
+from quadjax.sil.run import make_world
+from quadjax.sil.worlds import Now, World
 from quadjax.vehicle import rate
 
 STEPS = 40
+SHORT = 150  # steps
 RATES = CommandKind.RATES_RAD_S_AND_THRUST_M_S2
+
+
+def short_world(*arguments) -> World:
+    """As ``sil.run.make_world``; races end after ``SHORT`` steps."""
+    world = make_world(*arguments)
+    return dataclasses.replace(world, limit=min(SHORT, world.limit))
 
 
 @dataclasses.dataclass(frozen=True)

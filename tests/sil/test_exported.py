@@ -2,7 +2,6 @@
 
 import contextlib
 import ctypes
-import dataclasses
 import json
 import re
 import subprocess
@@ -32,7 +31,7 @@ from quadjax.sil.run import Setting, fly_all, make_world
 from quadjax.sil.source import at_rate, build, label_of
 from tests.commands import run
 from tests.export.support import converted_in, made
-from tests.sil.support import Counting
+from tests.sil.support import Counting, short_world
 
 SIZE = (DTYPES[Kind.STATE].itemsize - HEADER.itemsize) // 4 - 2  # floats of a state
 
@@ -98,13 +97,7 @@ def flown_in_this_process(converted, plant, folder, steps):
 
 @pytest.fixture
 def short_races(monkeypatch):
-    """Races end after 150 steps."""
-
-    def short(*arguments):
-        world = make_world(*arguments)
-        return dataclasses.replace(world, limit=min(150, world.limit))
-
-    monkeypatch.setattr(sil, "make_world", short)
+    monkeypatch.setattr(sil, "make_world", short_world)
 
 
 @pytest.mark.slow
