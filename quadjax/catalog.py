@@ -12,7 +12,14 @@ from quadjax.config.reference import describe as keys_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import write_text
-from quadjax.core.resources import find_file, find_policy, is_run, policy_names, preset_names
+from quadjax.core.resources import (
+    CONFIGS,
+    find_file,
+    find_policy,
+    is_run,
+    policy_names,
+    preset_names,
+)
 from quadjax.core.sections import Section, validate
 from quadjax.core.yaml_files import override, parse_overrides, read_tree_with_bases, to_yaml
 from quadjax.evaluation.table import Table, number
@@ -52,19 +59,25 @@ def kind_of(what: str) -> str:
         if "gates" in keys or keys & {"models", *MODELS}:
             return "track" if "gates" in keys else "vehicle"
         return max(SCHEMAS, key=lambda kind: len(keys & {*SCHEMAS[kind][0].model_fields}))
-    names = {kind: preset_names(folder) for kind, folder in FOLDERS.items()}
-    names["policy"] = policy_names()
-    for kind, shipped in names.items():
-        if what.removesuffix(".yaml") in shipped:
-            return kind
+    if files := files_of(what):
+        return next(iter(files))
     if what and Path(what).is_dir():
         raise InputError(
             f"{what}: is a folder, allowed: a name that quadjax show lists, or a file: "
             f"{', '.join(FOLDERS)} or policy"
         )
-    hint = close_match(what, [name for shipped in names.values() for name in shipped])
+    names = [name for folder in FOLDERS.values() for name in preset_names(folder)]
+    hint = close_match(what, names + policy_names())
     name = what or repr(what)
     raise InputError(f"{name}: no such name or file{hint}; quadjax show lists the names")
+
+
+def files_of(name: str) -> dict[str, Path]:
+    """The files of a name that come with the package, by kind; ``show`` prints the first."""
+    stem = name.removesuffix(".yaml")
+    kinds = [kind for kind, folder in FOLDERS.items() if stem in preset_names(folder)]
+    files = {kind: CONFIGS / FOLDERS[kind] / f"{stem}.yaml" for kind in kinds}
+    return files | ({"policy": find_policy(f"{stem}.npz")} if stem in policy_names() else {})
 
 
 def text_of(what: str, overrides: Sequence[str] = (), model_name: str | None = None) -> str:

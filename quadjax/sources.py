@@ -46,7 +46,8 @@ def load_flights(
         source: a training run's folder, also while it trains; a policy file, or the name of one
             that comes with the package; a file that ``quadjax.flights.load`` reads; or a flight log
             (``.csv``, ``.ulg``).
-        name: of the flights; the name of the file or folder if not given.
+        name: of the flights, several of which are numbered; if not given, that of the file or
+            folder, or those in a file of flights.
         race: that policies fly, and whose gates logs pass; None: a policy's own.
         logs: columns and frames of flight logs; None: those of a known format, by the header.
         progress: called with the policy that is simulated.
@@ -63,7 +64,7 @@ def load_flights(
         allowed = f"the folder of a run, a file ({', '.join(SUFFIXES)}), or a shipped policy"
         names = ", ".join(policy_names())
         raise InputError(f"{source or repr(source)}: no such file, allowed: {allowed}: {names}")
-    name = name or (path.resolve().name if path.is_dir() else path.stem)
+    label = name or (path.resolve().name if path.is_dir() else path.stem)
     is_policy = path.is_dir()
     path = _policy_of_run(path) if is_policy else path
     check_file(path)
@@ -75,10 +76,10 @@ def load_flights(
         is_policy = meta["format"] in POLICY_FORMATS
     if is_policy:
         progress(f"simulating {path}")
-        return fly(path, name, race, report, **options)
+        return fly(path, label, race, report, **options)
     if path.suffix in LOGS:
-        return [load_log(path, name, logs, None if race is None else race.track)]
-    return files.load(path, () if race is None else race.track.gates, name)
+        return [load_log(path, label, logs, None if race is None else race.track)]
+    return files.load(path, () if race is None else race.track.gates, name or "")
 
 
 def _policy_of_run(folder: Path) -> Path:

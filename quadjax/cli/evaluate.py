@@ -135,15 +135,15 @@ def evaluate(
     if not fixed_point:
         opt.refuse("without --fixed-point", "range_")
     ranges = opt.by_name("--range", range_)
+    files = list(policy or ()) or [PRETRAINED / f"{name}.npz" for name in policy_names()]
+    listed = _listed("protocols" if conditions is None and len(files) > 1 else conditions, only)
+    entries = [_entry(file, config, overrides, body) for file in files]
     with loading():
         from quadjax.evaluation.evaluate import evaluate as fly
         from quadjax.evaluation.evaluate import joined
 
-    files = list(policy or ()) or [PRETRAINED / f"{name}.npz" for name in policy_names()]
-    listed = _listed("protocols" if conditions is None and len(files) > 1 else conditions, only)
-    entries = [_entry(file, config, overrides) for file in files]
     how: dict[str, Any] = {"laps": laps, "gates": gates, "seconds": seconds, "runs": runs}
-    how |= {"start": start, "seed": seed, "plant": plant, "plants": plants, "body_radius": body}
+    how |= {"start": start, "seed": seed, "plant": plant, "plants": plants}
     with steps() as show:
         show("compiling and simulating")
         if listed is None:
@@ -176,14 +176,16 @@ def _listed(name: str | None, only: list[str] | None) -> "Conditions | None":
 
 
 def _entry(
-    path: Path, config: str | None, overrides: Sequence[str]
+    path: Path, config: str | None, overrides: Sequence[str], body: float | None
 ) -> tuple[str, tuple["Policy", "RaceConfig"]]:
-    """The path of a policy file; the policy and the race that it flies."""
-    from quadjax.config.assembly import race_of
-    from quadjax.config.loading import load_config
-    from quadjax.policy.file import Policy
-    from quadjax.policy.pilot import fit_race
-    from quadjax.policy.race import race_of_policy
+    """The path of a policy file; the policy and the race that it flies, with a drone's radius."""
+    with loading():
+        from quadjax.config.assembly import race_of
+        from quadjax.config.checks import with_body
+        from quadjax.config.loading import load_config
+        from quadjax.policy.file import Policy
+        from quadjax.policy.pilot import fit_race
+        from quadjax.policy.race import race_of_policy
 
     race = None if config is None else load_config(config, overrides)
     policy = Policy.load(path, race)
@@ -192,6 +194,7 @@ def _entry(
     except InputError as error:
         text = str(error).replace("config=CONFIG", "quadjax evaluate CONFIG")
         raise InputError(text) from None
+    race = race if body is None else with_body(race, body)
     fit_race(*race_of(race), policy, str(path))
     return str(path), (policy, race)
 

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from quadjax.cli.files import check_writable
 from quadjax.cli.options import Flag, Overrides, Picture
-from quadjax.cli.output import wrote
+from quadjax.cli.output import note, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import CONFIGS, policy_names, preset_names
@@ -87,6 +87,8 @@ def show(
         save_figure(trajectory_figure([], track.gates, track.name), figure)
     print(text)
     wrote(figure)
+    for kind, path in [] if Path(what).exists() else list(catalog.files_of(what).items())[1:]:
+        note(f"{what} is also a {kind}: quadjax show {path}")
 
 
 def listing() -> str:

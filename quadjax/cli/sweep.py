@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from quadjax.cli import options as opt
-from quadjax.cli.files import writable_folder
-from quadjax.core.errors import INTERRUPTED, prefixed
+from quadjax.core.errors import INTERRUPTED
 from quadjax.core.folders import check_kind, claim, remove_files
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
@@ -29,7 +28,7 @@ def sweep(
     check: opt.Flag = False,
     report: opt.Flag = False,
     overwrite: opt.Flag = False,
-    output: Annotated[opt.Folder, Parameter(help="Write to DIR/NAME.")] = Path("runs"),
+    output: opt.RunsFolder = Path("runs"),
 ) -> int:
     """Search a space of training configs.
 
@@ -45,9 +44,6 @@ def sweep(
         report: Only report the finished trials.
         overwrite: Remove the trials first.
     """
-    if not check:
-        with prefixed("--output"):
-            writable_folder(str(output))
     with loading():
         from quadjax.sweeps.report import write_report
         from quadjax.sweeps.study import State, load_study, progress, trials_over

@@ -23,7 +23,7 @@ from quadjax.evaluation.rows import Row
 from quadjax.evaluation.simulate import simulate
 from quadjax.evaluation.table import Format, condition_table, counted, lap_table, policy_table
 from quadjax.flights.files import lap_times, save
-from quadjax.flights.flight import Flight, distinct, fastest
+from quadjax.flights.flight import Flight, distinct, fastest, numbered
 from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
@@ -194,11 +194,8 @@ class Evaluation:
         runs = distinct(self.flights)
         actions = "deterministic" if self.protocol.deterministic else "sampled"
         flights = [
-            run.replace(
-                name=name if len(runs) == 1 else f"{name} {number}",
-                source=run.source | {"note": f"{flight_title(run)}, {actions}"},
-            )
-            for number, run in enumerate(runs, start=1)
+            run.replace(name=label, source=run.source | {"note": f"{flight_title(run)}, {actions}"})
+            for label, run in zip(numbered(name, len(runs)), runs, strict=True)
         ]
         published = self.row.published
         return flights + ([lap_times(published.policy, published.lap_means)] if published else [])

@@ -35,7 +35,7 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, read_npz, whole_file, write_npz
 from quadjax.flights.earlier import OLD_FORMATS, gates_of, read_old
-from quadjax.flights.flight import Flight, Signal
+from quadjax.flights.flight import Flight, Signal, numbered
 from quadjax.flights.gates import is_same_track
 from quadjax.race.track import GateSection
 
@@ -130,7 +130,8 @@ def load(path: Path | str, gates: Sequence[GateSection] = (), name: str = "") ->
             --npz``; or a ``.json`` file of ``quadjax evaluate --json`` or ``quadjax limit --json``,
             whose lap times are a flight without samples.
         gates: of the track, for a file of an earlier version that has none.
-        name: of lap times and of the flights of earlier versions; the file's stem if not given.
+        name: of the flights, several of which are numbered. If not given: those in the file, or the
+            file's stem for lap times and flights of earlier versions.
 
     Raises:
         InputError: a file that cannot be read, of another format, or with a missing array.
@@ -147,14 +148,21 @@ def load(path: Path | str, gates: Sequence[GateSection] = (), name: str = "") ->
         if odd := [name for name in names if not re.fullmatch(r"\w{1,40}", name)]:
             raise InputError(f"{path}: a signal is called {odd[0]!r:.80}")
         arrays, _ = read_npz(path, FORMAT, (*WITH_ONE_NAME, *names))
-        return [_flight_at(arrays, gates, about, i) for i, about in enumerate(meta["flights"])]
+        records = meta["flights"]
+        labels = numbered(name, len(records)) if name else [str(about["name"]) for about in records]
+        rows = zip(records, labels, strict=True)
+        return [_flight_at(arrays, gates, i, *row) for i, row in enumerate(rows)]
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         text = f"{type(error).__name__}: {error}"
         raise InputError(f"{path}: arrays and meta do not fit ({text[:200]})") from error
 
 
 def _flight_at(
-    arrays: dict[str, np.ndarray], gates: tuple[GateSection, ...], about: dict[str, Any], index: int
+    arrays: dict[str, np.ndarray],
+    gates: tuple[GateSection, ...],
+    index: int,
+    about: dict[str, Any],
+    label: str,
 ) -> Flight:
     time = arrays["time"][index].astype(np.float64)
     count = int(np.isfinite(time).sum())
@@ -169,7 +177,7 @@ def _flight_at(
         signals[name] = Signal(values, unit, tuple(map(str, record["labels"])))
     crash = about["crash"]
     return Flight(
-        name=str(about["name"]),
+        name=label,
         time=time[:count],
         signals=signals,
         gates=gates,

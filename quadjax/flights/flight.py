@@ -248,6 +248,11 @@ def distinct(flights: Iterable[Flight]) -> list[Flight]:
     return kept
 
 
+def numbered(name: str, count: int) -> list[str]:
+    """The names of several flights: ``name`` with numbers from 1; of one flight without."""
+    return [name] if count == 1 else [f"{name} {number}" for number in range(1, count + 1)]
+
+
 def motion_signals(arrays: Mapping[str, np.ndarray]) -> dict[str, Signal]:
     """Signals of the rigid body from arrays (n, 3) by name; those of ``MOTION``."""
     return {
@@ -302,17 +307,14 @@ def recorded_flights(
     """
     names = {"attitude": "euler"}
     arrays = {key: np.asarray(getattr(trace, names.get(key, key)), np.float64) for key in SIMULATED}
-    flights = []
+    flights, labels = [], numbered(name, len(laps.crashes))
     for run, crash in enumerate(laps.crashes):
         steps = len(arrays["position"])
         end = min(int(round(laps.seconds[run] / time_step)) + 1, steps)
         values = {key: array[:end, :, run] for key, array in arrays.items()}
         values["target"] = np.asarray(trace.target)[:end, run, None].astype(np.float64)
-        label = name if len(laps.crashes) == 1 else f"{name} {run + 1}"
-        times = laps.lap_times[run]
-        flights.append(
-            simulated_flight(label, time_step, values, gates, model, times, crash, cut=False)
-        )
+        more = (gates, model, laps.lap_times[run], crash)
+        flights.append(simulated_flight(labels[run], time_step, values, *more, cut=False))
     return flights
 
 

@@ -123,7 +123,7 @@ class Problem:
     def race_start(self) -> RaceState:
         """The start of timed laps: at rest at the track's start, or in the last gate."""
         with jax.enable_x64(True):
-            return double(hover_start(self.choices, self.params))
+            return double(jax.jit(hover_start, static_argnums=0)(self.choices, self.params))
 
     @functools.cached_property
     def start(self) -> np.ndarray:

@@ -13,6 +13,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body, wrap_angle
 from quadjax.core.integrators import rk4_step
 from quadjax.core.materialize import Caller, call_directly
+from quadjax.core.resources import CONFIGS
 from quadjax.core.traced import as_leaves
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts
@@ -38,7 +39,7 @@ from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
 
 NOT_DRAWN = ("g", "rpm_min", "rpm_max")  # constants without deviation
-BEBOP_RADIUS, BEBOP_MASS, BEBOP_K_W = 0.07, 0.389, 4.36301076e-08  # m, kg, m/s^2/rpm^2
+BEBOP, BEBOP_RADIUS = CONFIGS / "vehicles" / "bebop1.yaml", 0.07  # m
 
 
 class PlantParams(struct.PyTreeNode):
@@ -98,11 +99,11 @@ def filled(config: PlantConfig) -> PlantConfig:
     Raises:
         InputError: a vehicle file that cannot be read, or that has no mass.
     """
-    vehicle, motors = nominal_vehicle(config), nominal_vehicle(config).motor
+    vehicle, bebop = nominal_vehicle(config), read_vehicle(str(BEBOP))
     mass = config.mass or vehicle.mass
-    if mass is None:
+    if mass is None or bebop.mass is None:
         raise InputError(f"{vehicle.path}: mass is missing; the plant needs it, in kg")
-    thrust = mass * motors.k_w / (BEBOP_MASS * BEBOP_K_W)  # per rpm^2, relative to the Bebop's
+    thrust = mass * vehicle.motor.k_w / (bebop.mass * bebop.motor.k_w)  # N/rpm^2, relative
     radius = config.rotors.radius or BEBOP_RADIUS * thrust**0.25
     return config.replace(mass=mass, rotors=config.rotors.replace(radius=radius))
 

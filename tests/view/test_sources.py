@@ -32,9 +32,9 @@ def test_flights_best_laps_and_lap_times_make_one_page(tmp_path):
     titles = [signal.get("title") for signal in mine["signals"][3:]]
     assert titles == ["commanded rotor speed", "rotor speed", "body rates"]
     assert len(best["lap_ends"]) == 3 and best["note"] == "best, repeated 3 times"
-    assert run("view", *files, "--output", tmp_path / "all.npz") == 0
+    assert run("view", *files, "--name", "first", "--output", tmp_path / "all.npz") == 0
     again = load(tmp_path / "all.npz")
-    assert [flight.name for flight in again] == ["s", "b", "times"]
+    assert [flight.name for flight in again] == ["first", "b", "times"]
     np.testing.assert_allclose(again[2].lap_times, lap_times("times", [2.9, 2.8]).lap_times)
     assert page_record("All", again)["markers"] == record["markers"]
 
