@@ -31,19 +31,20 @@ MODELS = {"rpm": "motor", "rad/s": "rate"}  # vehicle model by the unit of the c
 
 @dataclasses.dataclass(frozen=True)
 class Response:
-    """A flight's commanded signals, their limits and the model's response to the commands."""
+    """A flight's commanded signals, their limits and a model of them."""
 
     actual: np.ndarray  # (n, k)
     command: np.ndarray  # (n, k)
-    model: np.ndarray  # (n, k) first-order response to the commands
+    model: np.ndarray  # (n, k), such as the first-order response to the commands
     low: np.ndarray  # (k,)
     high: np.ndarray  # (k,)
     names: Sequence[str]
     units: Sequence[str]  # of each
+    labels: tuple[str, str, str] = ("commanded", "first-order response", "measured")
 
     @property
     def error(self) -> np.ndarray:
-        """The difference from the model's response, (n, k)."""
+        """The difference from the model, (n, k)."""
         return self.actual - self.model
 
     @property
@@ -242,16 +243,16 @@ def error_figure(flight: Flight, signals: Response, gates: int, title: str = "")
 
     Passages of the ``gates`` of the track are marked, the ends of laps by darker lines.
     """
-    figure = new_figure(9.6, 0.9 + 1.25 * len(signals.names))
+    figure, labels = new_figure(9.6, 0.9 + 1.25 * len(signals.names)), signals.labels
     same_unit = len(set(signals.units)) == 1
     grid = figure.subplots(len(signals.names), 2, sharex=True, sharey="col" if same_unit else False)
     time, colors = flight.time, matplotlib.colormaps["viridis"]([0.1, 0.55, 0.75])
     small: dict[str, Any] = {"fontsize": 8, "color": INK}
     for index, (left, right) in enumerate(grid):
-        left.plot(time, signals.command[:, index], color=MUTED, lw=0.6, label="commanded")
-        model, actual = signals.model[:, index], signals.actual[:, index]
-        left.plot(time, model, color=colors[2], lw=1.3, label="first-order response")
-        left.plot(time, actual, color=colors[0], lw=1.0, label="measured")
+        lines, widths = (signals.command, signals.model, signals.actual), (0.6, 1.3, 1.0)
+        styles = zip(lines, labels, (MUTED, colors[2], colors[0]), widths, strict=True)
+        for values, label, color, width in styles:
+            left.plot(time, values[:, index], color=color, lw=width, label=label)
         left.axhline(signals.high[index], color=INK, lw=0.9, ls=":", label="limits")
         left.axhline(signals.low[index], color=INK, lw=0.9, ls=":")
         right.plot(time, signals.error[:, index], color=colors[0], lw=0.9)
@@ -266,7 +267,7 @@ def error_figure(flight: Flight, signals: Response, gates: int, title: str = "")
         left.set_ylabel(f"{signals.names[index]}\n({signals.units[index]})", **small)
         text = f"RMS {signals.rms[index]:.3g} {signals.units[index]}"
         right.set_title(text, loc="right", pad=2, **small)
-    grid[0, 1].set_title("error to the first-order response", loc="left", pad=2, **small)
+    grid[0, 1].set_title(f"{labels[2]} minus {labels[1]}", loc="left", pad=2, **small)
     for axes in grid[-1]:
         axes.set_xlabel("time (s)", color=INK)
     figure.legend(
