@@ -12,14 +12,7 @@ from quadjax.config.reference import describe as keys_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import write_text
-from quadjax.core.resources import (
-    CONFIGS,
-    find_file,
-    find_policy,
-    is_run,
-    policy_names,
-    preset_names,
-)
+from quadjax.core.resources import find_file, find_policy, is_run, policy_names, preset_names
 from quadjax.core.sections import Section, validate
 from quadjax.core.yaml_files import override, parse_overrides, read_tree_with_bases, to_yaml
 from quadjax.evaluation.table import Table, number
@@ -76,7 +69,7 @@ def files_of(name: str) -> dict[str, Path]:
     """The files of a name that come with the package, by kind; ``show`` prints the first."""
     stem = name.removesuffix(".yaml")
     kinds = [kind for kind, folder in FOLDERS.items() if stem in preset_names(folder)]
-    files = {kind: CONFIGS / FOLDERS[kind] / f"{stem}.yaml" for kind in kinds}
+    files = {kind: find_file(stem, [], FOLDERS[kind]) for kind in kinds}
     return files | ({"policy": find_policy(f"{stem}.npz")} if stem in policy_names() else {})
 
 

@@ -13,17 +13,7 @@ from quadjax.cli.options import Flag, Overrides, Picture
 from quadjax.cli.output import note, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
-from quadjax.core.resources import CONFIGS, policy_names, preset_names
-
-KINDS = {  # folders of configs
-    "presets": "",
-    "parts of presets (+NAME; a prefix e2e_ or indi_ limits a part to that preset and is left out "
-    "of NAME)": "parts",
-    "tracks": "tracks",
-    "vehicles": "vehicles",
-    "plants": "plant",
-    "fit configs": "fit",
-}
+from quadjax.core.resources import CONFIGS, KINDS, policy_names, preset_names
 
 
 def show(
@@ -94,7 +84,7 @@ def show(
 def listing() -> str:
     """Names and descriptions of what comes with the package."""
     lines = []
-    for kind, folder in KINDS.items():
+    for folder, kind in KINDS.items():
         names = preset_names(folder)
         width = max(map(len, names))
         lines += [textwrap.fill(f"{kind}:", 79)]

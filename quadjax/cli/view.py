@@ -69,20 +69,15 @@ def view(
         raise InputError(f"--open needs an .html file, --output is {output}")
     config = load_config(race) if race else None
     columns = logs.columns() if logs.logs else None
-    options: dict[str, Any] = {
-        "runs": runs,
-        "laps": laps,
-        "deterministic": not sampled,
-        "seed": seed,
-    }
-    options |= {"race": config, "logs": columns, "report": note}
+    how: dict[str, Any] = {"runs": runs, "laps": laps, "deterministic": not sampled, "seed": seed}
+    how |= {"race": config, "logs": columns, "report": note}
     title = title or (config.track.name if config else "") or "Flights"
     with steps() as report:
         labels = [*names, *[None] * (len(flights) - len(names))]
         read = [
             flight
             for source, label in zip(flights, labels, strict=True)
-            for flight in load_flights(source, label, progress=report, **options)
+            for flight in load_flights(source, label, progress=report, **how)
         ]
         count = _write(output, title, read)
     size = output.stat().st_size

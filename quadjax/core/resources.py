@@ -16,9 +16,13 @@ PRETRAINED = _PACKAGE / "pretrained"
 POLICY_FILE = "policy.npz"  # in the folder of a training run
 KINDS = {  # what the folders of configs/ hold
     "": "presets",
-    "conditions": "lists of conditions",
-    "fit": "fit configs",
+    "parts": "parts of presets (+NAME; a prefix e2e_ or indi_ limits a part to that preset and is "
+    "left out of NAME)",
+    **{folder: folder for folder in ("tracks", "vehicles")},
     "plant": "plants",
+    "fit": "fit configs",
+    "conditions": "lists of conditions",
+    "sweeps": "sweeps",
 }
 
 

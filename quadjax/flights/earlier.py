@@ -8,14 +8,7 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_npz
 from quadjax.core.sections import validate
-from quadjax.flights.flight import (
-    MOTION,
-    Flight,
-    Signal,
-    motion_signals,
-    numbered,
-    vehicle_signals,
-)
+from quadjax.flights.flight import MOTION, Flight, Signal, motion_signals, vehicle_signals
 from quadjax.flights.gates import passages, passages_at
 from quadjax.race.track import GateSection
 from quadjax.vehicle.registry import MODELS
@@ -74,12 +67,12 @@ def _read_states(
 ) -> list[Flight]:
     """The runs of an evaluation, each cut at its end; without targets the openings count."""
     reasons = {crash["run"]: str(crash["reason"]) for crash in meta.get("crashes", [])}
-    flights, labels = [], numbered(name, len(arrays["lap_times"]))
+    flights, several = [], len(arrays["lap_times"]) > 1
     for run, laps in enumerate(arrays["lap_times"]):
         end = int(np.isfinite(arrays["position"][run, :, 0]).sum())
         of_run = {k: arrays[k][run, :end] for k in (*OLD_SIGNALS, "target") if k in arrays}
-        time, crash = arrays["time"][:end], reasons.get(run)
-        flight = _old_flight(labels[run], time, of_run, meta, gates)
+        label, time = f"{name} {run + 1}" if several else name, arrays["time"][:end]
+        flight, crash = _old_flight(label, time, of_run, meta, gates), reasons.get(run)
         target = of_run.get("target")
         passed = passages(time, flight["position"], gates, target=target, cut=crash is None)
         ends = np.cumsum(laps[np.isfinite(laps)])

@@ -148,21 +148,16 @@ def load(path: Path | str, gates: Sequence[GateSection] = (), name: str = "") ->
         if odd := [name for name in names if not re.fullmatch(r"\w{1,40}", name)]:
             raise InputError(f"{path}: a signal is called {odd[0]!r:.80}")
         arrays, _ = read_npz(path, FORMAT, (*WITH_ONE_NAME, *names))
-        records = meta["flights"]
-        labels = numbered(name, len(records)) if name else [str(about["name"]) for about in records]
-        rows = zip(records, labels, strict=True)
-        return [_flight_at(arrays, gates, i, *row) for i, row in enumerate(rows)]
+        flights = [_flight_at(arrays, gates, about, i) for i, about in enumerate(meta["flights"])]
+        labels = numbered(name, len(flights)) if name else [flight.name for flight in flights]
+        return [flight.replace(name=x) for flight, x in zip(flights, labels, strict=True)]
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         text = f"{type(error).__name__}: {error}"
         raise InputError(f"{path}: arrays and meta do not fit ({text[:200]})") from error
 
 
 def _flight_at(
-    arrays: dict[str, np.ndarray],
-    gates: tuple[GateSection, ...],
-    index: int,
-    about: dict[str, Any],
-    label: str,
+    arrays: dict[str, np.ndarray], gates: tuple[GateSection, ...], about: dict[str, Any], index: int
 ) -> Flight:
     time = arrays["time"][index].astype(np.float64)
     count = int(np.isfinite(time).sum())
@@ -177,7 +172,7 @@ def _flight_at(
         signals[name] = Signal(values, unit, tuple(map(str, record["labels"])))
     crash = about["crash"]
     return Flight(
-        name=label,
+        name=str(about["name"]),
         time=time[:count],
         signals=signals,
         gates=gates,
