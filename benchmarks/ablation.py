@@ -1,18 +1,19 @@
 """Ablation of residual, disturbance observation and randomization of E2E on the stand-in plant.
 
-Each variant is a policy file of ``quadjax/pretrained/ablation`` (or of a folder that is named), its
-training, and its disturbance observation. A policy that is missing is skipped, with the command
-that trains it. docs/design/comparison.md has the numbers.
+Each variant is a policy of ``quadjax/pretrained/ablation``, or of a folder that is named, such as
+the ``runs`` of trainings; its training; and its disturbance observation. A policy that is missing
+is skipped, with the command that trains it. docs/design/comparison.md has the numbers.
 
     python -m benchmarks.ablation [FOLDER]
 """
 
-import sys
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import quadjax
-from quadjax.core.resources import PRETRAINED
+from quadjax.cli import options, script
+from quadjax.core.errors import InputError
+from quadjax.core.resources import POLICY_FILE, PRETRAINED
 from quadjax.evaluation.conditions import Condition, Conditions
 from quadjax.evaluation.evaluate import joined
 
@@ -50,7 +51,7 @@ VARIANTS = (
 )
 
 
-def fly(variant: Variant, folder: Path, runs: int = 100):  # noqa: ANN201
+def fly(variant: Variant, file: Path, runs: int):  # noqa: ANN201
     """The flights of one variant on the plant, as a row of the table."""
     condition = Condition(
         label=f"{variant.group}: {variant.label}", plant=(f"disturbance={variant.disturbance}",)
@@ -59,17 +60,30 @@ def fly(variant: Variant, folder: Path, runs: int = 100):  # noqa: ANN201
         conditions=(condition,), plant="standin", deterministic=True, columns=("total", "ended")
     )
     race = quadjax.load("e2e +residual" if variant.residual else "e2e")
-    file = folder / f"{variant.policy}.npz"
     return quadjax.evaluate(file, race, conditions=listed, runs=runs, name="E2E")
 
 
-if __name__ == "__main__":
-    policies = Path(sys.argv[1]) if sys.argv[1:] else PRETRAINED / "ablation"
+def ablation(
+    folder: Annotated[Path, options.path("a folder")] = PRETRAINED / "ablation",
+    /,
+    *,
+    runs: options.Runs = 100,
+) -> None:
+    """Fly the policies of a folder, which has their files or the folders of their runs."""
     flown = []
     for variant in VARIANTS:
-        if (policies / f"{variant.policy}.npz").is_file():
-            flown.append(fly(variant, policies))
+        name = variant.policy
+        files = [folder / f"{name}.npz", folder / name / POLICY_FILE]
+        if file := next((file for file in files if file.is_file()), None):
+            flown.append(fly(variant, file, runs))
         else:
-            words = f"{' '.join(variant.training)} seed=0 --name {variant.policy}"
-            print(f"skipped, no policy in {policies}: quadjax train {words}")
+            words = f"{' '.join(variant.training)} seed=0 --name {name}"
+            print(f"skipped, no policy in {folder}: quadjax train {words}")
+    if not flown:
+        names = ", ".join(dict.fromkeys(variant.policy for variant in VARIANTS))
+        raise InputError(f"{folder}: no policy, allowed: a folder with {names}")
     print(joined(flown).table())
+
+
+if __name__ == "__main__":
+    script(ablation)

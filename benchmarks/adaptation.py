@@ -8,9 +8,9 @@ of configs/conditions/damage.yaml; docs/design/adaptation.md has rows of the tab
 """
 
 import dataclasses
-import sys
 
 import quadjax
+from quadjax.cli import options, script
 from quadjax.evaluation.conditions import read_conditions
 from quadjax.evaluation.table import policy_table
 
@@ -21,7 +21,7 @@ POLICIES = {  # by column: policy, and the disturbance that it observes
 }
 
 
-def rows(runs: int = 100) -> list:
+def rows(runs: int) -> list:
     """Mean and sampled flights of each column on every drone."""
     found, listed = [], read_conditions("damage")
     for column, (policy, source) in POLICIES.items():
@@ -34,5 +34,10 @@ def rows(runs: int = 100) -> list:
     return found
 
 
+def adaptation(runs: options.Runs = 100, /) -> None:
+    """Print the table, with RUNS flights in each cell."""
+    print(policy_table(rows(runs), "total").format("markdown"))
+
+
 if __name__ == "__main__":
-    print(policy_table(rows(*map(int, sys.argv[1:])), "total").format("markdown"))
+    script(adaptation)

@@ -89,9 +89,9 @@ def against_sb3(
     preset: str = "e2e_paper",
     *changes: str,
     sides: Annotated[tuple[Literal["quadjax", "sb3"], ...], options.LIST] = ("quadjax", "sb3"),
-    seconds: float = 900.0,
-    steps: int = 0,
-    output: Path = Path("runs/against_sb3"),
+    seconds: Annotated[float, options.number(0.0, 1e6)] = 900.0,
+    steps: Annotated[int, options.whole(0, 10**12)] = 0,
+    output: options.Folder = Path("runs/against_sb3"),
 ) -> None:
     """Train a preset of PPO by each side, and print a table."""
     learner = quadjax.load(preset, changes).learner

@@ -1,4 +1,4 @@
-"""Draw docs/images/architectures.png and toolchain.png: python benchmarks/diagrams.py."""
+"""Draw docs/images/architectures.png and toolchain.png: python -m benchmarks.diagrams."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
+from quadjax.cli import script
 from quadjax.core.plotting import INK, MUTED, new_figure
 
 POLICY, OURS, DRONE = matplotlib.colormaps["viridis"]([0.75, 0.45, 0.2])
@@ -95,6 +96,11 @@ def toolchain_figure() -> Figure:
     return figure
 
 
-if __name__ == "__main__":
+def diagrams() -> None:
+    """Draw both figures."""
     for name, drawn in (("architectures", architecture_figure), ("toolchain", toolchain_figure)):
         drawn().savefig(IMAGES / f"{name}.png", dpi=150)
+
+
+if __name__ == "__main__":
+    script(diagrams)

@@ -1,6 +1,6 @@
 """Frama-C's EVA over the C runtime and its pilot with the words of policies.
 
-    python benchmarks/eva.py FILE.qjp ... [--whole-loader]
+    python -m benchmarks.eva FILE.qjp ... [--whole-loader]
 
 Each line: alarms (overflows, bad indices, uninitialized reads, ..) of any call of the pilot with
 any state and memory, and the assertions of ``eva.c``: commands within their limits for any inputs.
@@ -11,13 +11,14 @@ goes through checksum, checks and self-tests: for small policies.
 import re
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 
+from quadjax.cli import options, script
+from quadjax.core.errors import prefixed
 from quadjax.export.read import read_words
 from quadjax.export.render import sizes_header
 from quadjax.export.targets import RUNTIME
@@ -49,10 +50,7 @@ def analyze(words: bytes, folder: Path, whole: bool = False) -> tuple[int, bool,
     lines = "".join(f"#define {name} {value}\n" for name, value in values.items())
     lines += f"static const int32_t words[] = {{{numbers}}};\n"
     (folder / "words.h").write_text(lines)
-    skipped = (
-        "qj_load.c",
-        "qj_angles.c",
-    )  # eva.c includes the first; the second is the C library's
+    skipped = ("qj_load.c", "qj_angles.c")  # eva.c includes one; the other is the C library's
     files = [p for p in sorted(folder.glob("*.c")) if p.name not in skipped]
     command = ["frama-c", *OPTIONS, f"-cpp-extra-args=-I{folder}", *map(str, files)]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -64,16 +62,18 @@ def analyze(words: bytes, folder: Path, whole: bool = False) -> tuple[int, bool,
     return int(alarms[1]), proven is not None, text
 
 
-def main() -> int:
+def eva(*files: options.ExistingFiles, whole_loader: bool = False) -> int:
     """Print a line for each file."""
-    failed = 0
-    for name in (x for x in sys.argv[1:] if not x.startswith("--")):
+    policies, failed = [file.read_bytes() for file in files], 0
+    for file, words in zip(files, policies, strict=True):
+        with prefixed(str(file)):
+            read_words(words)
+    for file, words in zip(files, policies, strict=True):
         started = time.time()
         with tempfile.TemporaryDirectory() as work:
-            words = Path(name).read_bytes()
-            alarms, proven, text = analyze(words, Path(work) / "c", "--whole-loader" in sys.argv)
+            alarms, proven, text = analyze(words, Path(work) / "c", whole_loader)
         failed |= int(alarms > 0 or not proven)
-        print(f"{name}: {alarms} alarms, assertions {'proven' if proven else 'NOT proven'}, "
+        print(f"{file}: {alarms} alarms, assertions {'proven' if proven else 'NOT proven'}, "
               f"{time.time() - started:.0f} s", flush=True)  # fmt: skip
         if alarms or not proven:
             print("\n".join(x for x in text.splitlines() if "alarm" in x)[:4000])
@@ -81,4 +81,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    script(eva)

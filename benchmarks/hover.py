@@ -14,7 +14,7 @@ import numpy as np
 
 import quadjax
 from quadjax.cli import script
-from quadjax.cli.options import LIST, whole
+from quadjax.cli.options import Folder, Seeds, whole
 from quadjax.core.sections import MAX_RUNS
 
 CONFIG = "e2e +hover"
@@ -35,13 +35,13 @@ def caught(policy: quadjax.Policy, config: quadjax.Config, throws: int) -> np.nd
 
 def hover(
     *overrides: str,
-    seeds: Annotated[tuple[int, ...], LIST] = (0,),
+    seeds: Seeds = (0,),
     throws: Annotated[int, whole(1, MAX_RUNS)] = 10_000,
-    output: Path = Path("runs/hover"),
+    output: Folder = Path("runs/hover"),
 ) -> None:
     """Train with each seed, and print training time and the share of throws caught."""
-    for seed in seeds:
-        config = quadjax.load(CONFIG, [f"seed={seed}", *overrides])
+    configs = [quadjax.load(CONFIG, [f"seed={seed}", *overrides]) for seed in seeds]
+    for seed, config in zip(seeds, configs, strict=True):
         run = quadjax.train(config, output / str(seed), overwrite=True, progress=False)
         row = {key: values[-1] for key, values in run.metrics.items()}
         training = row["steps"] / row["steps_per_second"]

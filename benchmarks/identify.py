@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from quadjax.cli import script
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import gusts, indi, plant
 from quadjax.plant.config import PlantConfig, load_plant_config, without_effects
@@ -49,7 +50,7 @@ def fit_step(axis, target, time, response, saturated=0.0) -> Step:
     return Step(axis, start, target, tau, error, saturated)
 
 
-def identify(config: PlantConfig, steps: dict[str, tuple[float, ...]] = STEPS) -> list[Step]:
+def responses(config: PlantConfig, steps: dict[str, tuple[float, ...]] = STEPS) -> list[Step]:
     """Simulate steps from hover with exact measurements, and fit each."""
     params, axes = build_plant(config), list(STEPS)
     loop = indi.indi_params(nominal_vehicle(config).motor, config.indi, config.sample_rate)
@@ -58,8 +59,8 @@ def identify(config: PlantConfig, steps: dict[str, tuple[float, ...]] = STEPS) -
     for row, (axis, value) in zip(commands, asked):
         row[axes.index(axis)] = value
     count, rate, found = round(SECONDS * config.sample_rate), config.sample_rate, []
-    responses = np.float64(_fly(count, params, loop, np.float32(commands)))
-    for (axis, value), response in zip(asked, np.moveaxis(responses, 2, 0)):
+    flown = np.float64(_fly(count, params, loop, np.float32(commands)))
+    for (axis, value), response in zip(asked, np.moveaxis(flown, 2, 0)):
         values, limited = response[:, axes.index(axis)], response[:, 4].mean()
         found.append(fit_step(axis, value, np.arange(count) / rate, values, limited))
     return found
@@ -93,9 +94,14 @@ def _fly(count, params, loop, commands) -> jax.Array:
     return jax.vmap(one, out_axes=-1)(commands)
 
 
-if __name__ == "__main__":
+def identify() -> None:
+    """Print a line for each step."""
     print("axis, from, to, time constant, error of the fit, motors at a limit; * not 25 to 35 ms")
-    for step in identify(without_effects(load_plant_config("standin"))):
+    for step in responses(without_effects(load_plant_config("standin"))):
         mark = "" if EXPECTED[0] <= step.tau <= EXPECTED[1] else " *"
         fit = f"{1e3 * step.tau:5.1f} ms {step.error:6.1%} {1e3 * SECONDS * step.saturated:4.0f} ms"
         print(f"{step.axis} {step.start:6.2f} {step.target:6.2f} {fit}{mark}")
+
+
+if __name__ == "__main__":
+    script(identify)

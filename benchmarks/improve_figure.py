@@ -1,18 +1,20 @@
 """Time of all laps against seconds of flight, over several plants.
 
-``python benchmarks/improve_figure.py FIGURE.png LABEL=FILE.json ...`` draws the files that
-``benchmarks/improve_plants.py --json`` writes, one for each policy.
+``python -m benchmarks.improve_figure FIGURE.png LABEL=FILE.json ...`` draws the files that
+``benchmarks.improve_plants --json`` writes, one for each policy.
 """
 
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from cyclopts import Parameter
 from matplotlib.figure import Figure
 
+from quadjax.cli import options, script
+from quadjax.core.errors import InputError
 from quadjax.core.plotting import INK, SERIES, head, new_figure, save_figure, tidy
 
 Plant = Mapping[str, Any]
@@ -62,7 +64,26 @@ def mean(flown: Plant) -> float:
     return float(np.mean(done)) if done else float("nan")
 
 
+def plants_of(word: str) -> tuple[str, Sequence[Plant]]:
+    """The label and the plants of a word LABEL=FILE.json."""
+    label, equals, file = word.partition("=")
+    if not (label and equals):
+        raise InputError(f"{word}: expected LABEL=FILE.json")
+    try:
+        plants = json.loads(Path(file).read_text(encoding="utf-8"))
+        return label, plants if [_curve(plant) for plant in plants] else {}[file]
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{file}: not a file of benchmarks.improve_plants --json") from None
+
+
+def improve_figure(
+    figure: Annotated[Path, options.Output(options.PICTURES)],
+    /,
+    *files: Annotated[str, Parameter(name="LABEL=FILE.json", required=True)],
+) -> None:
+    """Draw the flights of one or more policies."""
+    save_figure(improvement_figure(dict(map(plants_of, files))), figure)
+
+
 if __name__ == "__main__":
-    files = dict(word.split("=", 1) for word in sys.argv[2:])
-    plants = {label: json.loads(Path(file).read_text()) for label, file in files.items()}
-    save_figure(improvement_figure(plants), Path(sys.argv[1]))
+    script(improve_figure)

@@ -3,21 +3,26 @@
     for seed in 0 1 2 3 4 5 6 7 8 9; do
         quadjax improve e2e --policy FILE --plant-seed $seed --output runs/ten/$seed
     done
-    python benchmarks/improve_plants.py runs/ten/* --json ten.json
+    python -m benchmarks.improve_plants runs/ten/* --json ten.json
 
 The means in docs/design/adaptation.md are made so. A plant whose check flights have
 no finisher before or after does not count in the means, which say how many plants they are of.
 """
 
-import argparse
-import json
 from collections.abc import Mapping, Sequence
+from json import dumps
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from cyclopts import Parameter
 
+from quadjax.cli import options, script
+from quadjax.core.errors import InputError
+from quadjax.core.files import read_json, write_text
+from quadjax.core.folders import kind_of
 from quadjax.core.markdown import table
+from quadjax.improve import KIND
 
 Plant = Mapping[str, Any]
 
@@ -26,15 +31,15 @@ def read(folder: Path) -> Plant:
     """The flights of a folder of ``quadjax improve``: of each round, and before and after."""
     rounds = []
     for place in sorted(folder.glob("round_*"), key=lambda path: int(path.name[6:])):
-        refitted, state = json.loads((place / "model.json").read_text()), "none"
+        refitted, state = read_json(place / "model.json"), "none"
         if refitted["before"]:
             state = "rejected" if refitted.get("rejection", refitted.get("refused")) else "accepted"
-        flown = json.loads((place / "flights.json").read_text())
+        flown = read_json(place / "flights.json")
         rounds.append({"flown": flown, "model": state})
     names = {"before": "check_*_before.json", "after": f"check_*_after_{len(rounds)}.json"}
     names["reference"] = "check_*_reference.json"
     files = {name: list(folder.glob(pattern)) for name, pattern in names.items()}
-    check = {name: json.loads(paths[0].read_text()) for name, paths in files.items() if paths}
+    check = {name: read_json(paths[0]) for name, paths in files.items() if paths}
     return {"plant": folder.name, "rounds": rounds, "check": check}
 
 
@@ -66,12 +71,18 @@ def _cell(flown: Plant) -> str:
     return f"{time} ({done} of {len(flown['totals'])})"
 
 
+def improve_plants(
+    *folders: Annotated[Path, Parameter(required=True)], json: options.JsonFile = None
+) -> None:
+    """Print the table of folders of quadjax improve."""
+    for folder in folders:
+        if not (folder / "table.txt").is_file() or kind_of(folder) != KIND:
+            raise InputError(f"{folder}: allowed: the folder of a finished quadjax improve")
+    plants = [read(folder) for folder in folders]
+    print(plants_table(plants))
+    if json:
+        write_text(json, dumps(plants, indent=1))
+
+
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("folders", type=Path, nargs="+")
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    found = [read(folder) for folder in options.folders]
-    print(plants_table(found))
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=1))
+    script(improve_plants)

@@ -1,16 +1,17 @@
 """A policy fine-tuned on a plant's own numbers: what ``quadjax improve`` could reach at most.
 
-``python benchmarks/improve_reference.py e2e --policy FILE --plant-seed 0 --output runs/ten/0`` adds
+``python -m benchmarks.improve_reference e2e --policy FILE --plant-seed 0 --output runs/ten/0`` adds
 ``check_N_reference.json`` to the folder of ``quadjax improve`` with the same options; then
-``benchmarks/improve_plants.py`` has the column "reference". The model has the plant's constants and
+``benchmarks.improve_plants`` has the column "reference". The model has the plant's constants and
 battery, and a residual that is fitted to flights with exact sensors, without gusts and delays. The
 training has the steps of all rounds together. The mean is in docs/design/adaptation.md.
 """
 
-import argparse
 import dataclasses
 from pathlib import Path
+from typing import Annotated
 
+from quadjax.cli import options, script
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.files import write_json
@@ -78,21 +79,28 @@ def plant_model(setting: Setting, folder: Path) -> tuple[PlantModel, list[Path]]
     return PlantModel(true, str(folder / "residual.npz"), of_plant=battery), files
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("config")
-    for name in ("policy", "output"):
-        parser.add_argument(f"--{name}", type=Path, required=True)
-    parser.add_argument("--plant-seed", type=int, default=0)
-    parser.add_argument("--steps", type=int, default=3_000_000, help="of all rounds together")
-    parser.add_argument("--margin", type=float, default=0.0, help="of the last round, m")
-    options = parser.parse_args()
-    standin, folder = plants.load_plant_config("standin"), options.output / "reference"
-    drone = standin.replace(constants=standin.constants.replace(seed=options.plant_seed))
-    race, steps, fit = load_config(options.config), options.steps, load_fit_config("improve")
-    setting = Setting(race, options.policy, fit, drone, steps=steps)
+def improve_reference(
+    config: options.ConfigName,
+    /,
+    *,
+    policy: options.PolicyFile,
+    output: options.Folder,
+    plant_seed: options.Seed = 0,
+    steps: Annotated[int, options.whole(1, 10**12)] = 3_000_000,
+    margin: Annotated[float, options.number(0.0, 10.0)] = 0.0,
+) -> None:
+    """Fine-tune POLICY for ``steps`` of all rounds, with the last round's ``margin``, m."""
+    race, standin = load_config(config), plants.load_plant_config("standin")
+    drone = standin.replace(constants=standin.constants.replace(seed=plant_seed))
+    setting = Setting(race, policy, load_fit_config("improve"), drone, steps=steps)
+    setting.check_policy()
+    folder = output / "reference"
     model, files = plant_model(setting, folder)
-    logs = [read_log(file, fit.logs) for file in files]
-    policy = tune(setting, Round(setting.policy, model, options.margin), logs, folder, print)
-    path = options.output / f"check_{setting.check}_reference.json"
-    write_json(path, fly_checks(setting, policy))
+    logs = [read_log(file, setting.fit.logs) for file in files]
+    tuned = tune(setting, Round(policy, model, margin), logs, folder, print)
+    path = output / f"check_{setting.check}_reference.json"
+    write_json(path, fly_checks(setting, tuned))
+
+
+if __name__ == "__main__":
+    script(improve_reference)

@@ -1,6 +1,6 @@
 """Instructions, stack and flash of exported policies on emulated processors.
 
-    python benchmarks/instructions.py FILE.qjp ...
+    python -m benchmarks.instructions FILE.qjp ...
 
 A row for each processor, kernel and compiler that is installed (the extra ``verify``, and GCC for
 ARM). An inference goes from floats to commands; a step of the pilot also has the gates and the
@@ -13,20 +13,21 @@ from pathlib import Path
 
 import numpy as np
 
+from quadjax.cli import options, script
 from quadjax.core.markdown import table
-from quadjax.export.read import unpack
+from quadjax.export.read import read_qjp
 from quadjax.export.render import sizes_header
 from quadjax.export.targets import TARGETS
 from quadjax.export.verify.build import BUILDS, OnBoard, Sources, vehicles
 from quadjax.export.verify.result import Skipped
+from quadjax.export.words import FixedPolicy
 
 HEAD = ["policy", "build", "inference", "step", "stack", "loading", "flash"]
 
 
-def rows_of(path: Path) -> list[list[str]]:
-    """Rows of the table for a policy."""
-    words = path.read_bytes()
-    policy, found = unpack(words), []
+def rows_of(path: Path, policy: FixedPolicy) -> list[list[str]]:
+    """Rows of the table for a policy and its file."""
+    words, found = path.read_bytes(), []
     sizes = [len(layer.bias) for layer in policy.network.layers]
     wide = "-".join(str(x) for x in (policy.network.inputs, *sizes))
     row = np.full(policy.network.inputs, 0.3, np.float32)
@@ -50,10 +51,11 @@ def rows_of(path: Path) -> list[list[str]]:
     return found
 
 
-def main() -> None:
+def instructions(*files: options.ExistingFiles) -> None:
     """Print the table."""
-    print(table([HEAD, *(row for name in sys.argv[1:] for row in rows_of(Path(name)))]))
+    policies = [(file, read_qjp(file)) for file in files]
+    print(table([HEAD, *(row for pair in policies for row in rows_of(*pair))]))
 
 
 if __name__ == "__main__":
-    main()
+    script(instructions)

@@ -7,11 +7,13 @@ file without one, such as a lap of an earlier version, is an initial guess.
     python -m benchmarks.limits FOLDER [--tracks square4 ..] [--drones a2rl ..] [--seconds 300]
 """
 
-import argparse
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from quadjax.cli import options, script
 from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, write_json
 from quadjax.limits.result import best_known, save_unverified
 from quadjax.limits.search import NotFoundError
@@ -26,16 +28,21 @@ DRONES = {  # by name: a preset and overrides
 }
 
 
-def compute(track: str, drone: str, path: Path, seconds: float, starts: int) -> dict[str, Any]:
-    """The result of one pair, as of ``quadjax limit --json``; an ``error`` where there is none."""
+def config_of(track: str, drone: str) -> Config:
+    """The race of a drone on a track."""
     preset, *overrides = DRONES[drone]
-    config, flight = load_config(preset, [f"track={track}", *overrides]), path.with_suffix(".npz")
+    return load_config(preset, [f"track={track}", *overrides])
+
+
+def compute(config: Config, path: Path, seconds: float, starts: int) -> dict[str, Any]:
+    """The result of one pair, as of ``quadjax limit --json``; an ``error`` where there is none."""
+    flight = path.with_suffix(".npz")
     guesses = [flight] if flight.exists() else []
     try:
         result = best_known(config, guesses=guesses, starts=starts, seconds=seconds).bounded()
     except NotFoundError as error:
         if not guesses:
-            save_unverified(flight, error)
+            save_unverified(flight, error, config)
         return {"error": str(error)}
     result.save(flight)
     return result.to_json()
@@ -51,24 +58,28 @@ def row(name: str, result: dict[str, Any]) -> str:
     return f"| {name} | {times} | {result['guess']} |"
 
 
-def main() -> None:
+def limits(
+    folder: options.Folder,
+    /,
+    *,
+    tracks: Annotated[tuple[str, ...], options.LIST] = TRACKS,
+    drones: Annotated[tuple[str, ...], options.LIST] = tuple(DRONES),
+    seconds: options.Count = 300,
+    starts: options.Count = 2,
+) -> None:
     """Compute what is missing and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--tracks", nargs="+", default=TRACKS)
-    parser.add_argument("--drones", nargs="+", default=tuple(DRONES), choices=tuple(DRONES))
-    parser.add_argument("--seconds", type=float, default=300.0)
-    parser.add_argument("--starts", type=int, default=2)
-    options = parser.parse_args()
-    options.folder.mkdir(parents=True, exist_ok=True)
+    if unknown := [drone for drone in drones if drone not in DRONES]:
+        raise InputError(f"--drones {unknown[0]}: allowed: {', '.join(DRONES)}")
+    pairs = [(track, drone) for track in tracks for drone in drones]
+    configs = {pair: config_of(*pair) for pair in pairs}
+    folder.mkdir(parents=True, exist_ok=True)
     print("| track, drone | lower bound | best known | computing | from |\n|---|---|---|---|---|")
-    for track in options.tracks:
-        for drone in options.drones:
-            path = options.folder / f"{track}_{drone}.json"
-            if not path.exists():
-                write_json(path, compute(track, drone, path, options.seconds, options.starts))
-            print(row(f"{track}, {drone}", read_json(path)), flush=True)
+    for pair, config in configs.items():
+        path = folder / f"{'_'.join(pair)}.json"
+        if not path.exists():
+            write_json(path, compute(config, path, seconds, starts))
+        print(row(", ".join(pair), read_json(path)), flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    script(limits)

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Annotated
 
 from benchmarks.loop_drone import CONTENDERS, Drone
-from benchmarks.loop_results import E2E, TUNED, Numbers
+from benchmarks.loop_results import E2E, TUNED
 from quadjax.cli import script
-from quadjax.cli.options import LIST
+from quadjax.cli.options import LIST, Folder, PlantConfig, Seeds, whole
 from quadjax.core.errors import InputError
 
 Names = Annotated[tuple[str, ...], LIST]
@@ -25,12 +25,12 @@ Names = Annotated[tuple[str, ...], LIST]
 
 def loop(
     *,
-    plant: str = "rough",
-    drones: Numbers = tuple(range(1, 11)),
-    seeds: Numbers = (0,),
+    plant: PlantConfig = "rough",
+    drones: Seeds = tuple(range(1, 11)),
+    seeds: Seeds = (0,),
     contenders: Names = (E2E, TUNED),
-    steps: int = 7_000_000,
-    output: Path = Path("runs/loop"),
+    steps: Annotated[int, whole(1, 10**12)] = 7_000_000,
+    output: Folder = Path("runs/loop"),
 ) -> None:
     """Fly, fit, train and fly again on drawn drones."""
     if unknown := set(contenders) - {TUNED, *CONTENDERS}:

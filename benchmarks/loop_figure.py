@@ -5,17 +5,23 @@ python -m benchmarks.loop_figure runs/loop docs/images/loop.png [--drones 1 2 3]
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.loop_results import E2E, TUNED, Numbers, Read, means, reader
+from benchmarks.loop_results import E2E, TUNED, Read, means, reader
 from quadjax.cli import script
+from quadjax.cli.options import PICTURES, Output, Seeds
 from quadjax.core.plotting import INK, SERIES, head, new_figure, save_figure, tidy
 
 
 def loop_figure(
-    folder: Path, file: Path, *, drones: Numbers = tuple(range(1, 11)), seeds: Numbers = (0,)
+    folder: Path,
+    file: Annotated[Path, Output(PICTURES)],
+    *,
+    drones: Seeds = tuple(range(1, 11)),
+    seeds: Seeds = (0,),
 ) -> None:
     """Draw the flights of E2E and tuned INDI."""
     save_figure(figure_of(reader(folder, drones, seeds), drones), file)

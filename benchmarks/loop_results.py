@@ -2,11 +2,10 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
-from quadjax.cli.options import LIST
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json
 from quadjax.flights.flight import Flight
@@ -16,7 +15,6 @@ LIMITS = range(10, 21)  # m/s^2, of INDI's thrust
 CHOSEN = "chosen"  # the flights by which INDI's limit is chosen
 GRAVITY = 9.81  # m/s^2
 LAPS = 6
-Numbers = Annotated[tuple[int, ...], LIST]
 Read = Callable[[str, str], list[Any]]  # contender, key -> value of each drone, None for none
 
 

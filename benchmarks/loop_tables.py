@@ -17,13 +17,13 @@ from benchmarks.loop_results import (
     LAPS,
     LIMITS,
     TUNED,
-    Numbers,
     Read,
     fastest_limit,
     means,
     reader,
 )
 from quadjax.cli import script
+from quadjax.cli.options import Seeds
 from quadjax.core.markdown import table
 from quadjax.evaluation.rows import interval
 
@@ -97,9 +97,7 @@ def responses(read: Read) -> str:
     return table(rows)
 
 
-def loop_tables(
-    folder: Path, *, drones: Numbers = tuple(range(1, 11)), seeds: Numbers = (0,)
-) -> None:
+def loop_tables(folder: Path, *, drones: Seeds = tuple(range(1, 11)), seeds: Seeds = (0,)) -> None:
     """Print the tables of contenders, drones, laps and responses."""
     read = reader(folder, drones, seeds)
     flights = contenders(read), by_drone(read, folder, drones, seeds)

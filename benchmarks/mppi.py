@@ -82,14 +82,15 @@ def fly(choices: Choices, n: int, params: RaceParams, seed: int, end: int) -> la
 def mppi(
     *,
     tracks: Annotated[tuple[str, ...], options.LIST] = TRACKS,
-    seeds: Annotated[tuple[int, ...], options.LIST] = (0,),
+    seeds: options.Seeds = (0,),
     samples: options.Count = 1024,
     train: bool = False,
 ) -> None:
     """Print laps and total of MPPI on each track, and those of trained policies."""
     rows: list[tuple[str, ...]] = [("track", "seed", "s a simulated s", "MPPI, s", "policy, s")]
-    for track, seed in itertools.product(tracks, seeds):
-        config = quadjax.load("e2e_race", [f"track={track}", f"seed={seed}"])
+    pairs = list(itertools.product(tracks, seeds))
+    configs = [quadjax.load("e2e_race", [f"track={x}", f"seed={seed}"]) for x, seed in pairs]
+    for (track, seed), config in zip(pairs, configs, strict=True):
         choices, params = race_of(config)
         jax.block_until_ready(fly(choices, samples, params, seed, 1))  # compile
         began, end = time.monotonic(), laps.step_limit(params, LAPS)

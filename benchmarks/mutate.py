@@ -1,6 +1,6 @@
 """Mutated .qjp files through the C loader and the pilot, under the address and UB sanitizers.
 
-    python benchmarks/mutate.py FILE.qjp .. [--count 1000000] [--compare 20000] [--seed 0]
+    python -m benchmarks.mutate FILE.qjp .. [--count 1000000] [--compare 20000] [--seed 0]
 
 Bits, words, lengths and numbers of the header change, most with a right checksum. Where the loader
 accepts a file, or only its self-tests refuse it, the pilot flies 20 steps with any numbers, within
@@ -9,19 +9,20 @@ status is 1 if a sanitizer reports something, a command is not within its limits
 differs.
 """
 
-import argparse
 import struct
 import subprocess
-import sys
 import tempfile
 import time
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
+from quadjax.cli import options, script
 from quadjax.core.errors import InputError
-from quadjax.export.read import unpack
+from quadjax.export.read import read_qjp, unpack
 from quadjax.export.targets import RUNTIME
 from quadjax.export.words import STRUCTS
 
@@ -72,11 +73,11 @@ def difference(data: bytes, error: int, original: np.ndarray) -> str:
     return f"Python accepts, the error of C is {error}" if error not in (0, TOO_LARGE) else ""
 
 
-def mutate(files: list[Path], count: int, compared: int, seed: int, program: Path) -> list[str]:
+def fuzz(files: Sequence[Path], count: int, compared: int, seed: int, program: Path) -> list[str]:
     """What went wrong, one line each; the files that differ are written here."""
     originals = [np.fromfile(path, "<i4") for path in files]
-    options = [count, seed, max(1, count // compared) if compared else 0]
-    process = subprocess.Popen([program, *map(str, options), *files], stdout=subprocess.PIPE)
+    numbers = [count, seed, max(1, count // compared) if compared else 0]
+    process = subprocess.Popen([program, *map(str, numbers), *files], stdout=subprocess.PIPE)
     assert process.stdout is not None
     wrong = []
     while head := process.stdout.read(12):
@@ -89,21 +90,21 @@ def mutate(files: list[Path], count: int, compared: int, seed: int, program: Pat
     return wrong + ([f"the fuzzer ended with {status}"] if status else [])
 
 
-def main() -> int:
+def mutate(
+    *files: options.ExistingFiles,
+    count: Annotated[int, options.whole(1, 10**9)] = 10**6,
+    compare: Annotated[int, options.whole(0, 10**9)] = 20_000,
+    seed: options.Seed = 0,
+) -> int:
     """Print the rate and what went wrong."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("files", type=Path, nargs="+")
-    for name, value in (("count", 1_000_000), ("compare", 20_000), ("seed", 0)):
-        parser.add_argument(f"--{name}", type=int, default=value)
-    options = parser.parse_args()
+    _ = [read_qjp(file) for file in files]
     with tempfile.TemporaryDirectory() as folder:
         program, started = build(Path(folder)), time.perf_counter()
-        wrong = mutate(options.files, options.count, options.compare, options.seed, program)
-    rate = options.count / (time.perf_counter() - started)
-    print(f"{options.count:,} files, {rate:,.0f} a second: ", end="")
+        wrong = fuzz(files, count, compare, seed, program)
+    print(f"{count:,} files, {count / (time.perf_counter() - started):,.0f} a second: ", end="")
     print("\n".join(wrong[:20]) or "no report, no difference")
     return int(bool(wrong))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    script(mutate)

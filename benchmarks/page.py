@@ -6,15 +6,16 @@ Each page has flights of six laps and plays in the orbit view, at the size of a 
 panel, and at that of a phone. Load time is from opening the file to the first frame.
 """
 
-import argparse
 import os
 import shutil
 import tempfile
 from pathlib import Path
+from typing import Annotated
 
 import psutil
-from playwright.sync_api import sync_playwright
+from cyclopts import Parameter
 
+from quadjax.cli import options, script
 from quadjax.view.page import write_page
 from tests.view.browser import OPTIONS, READY, wait_until
 from tests.view.scenes import circle, scene
@@ -42,26 +43,32 @@ MEASURE = """milliseconds => new Promise(resolve => {
 })"""
 
 
-def main() -> None:
-    """Print a line for each number of flights."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("counts", type=int, nargs="*", default=[1, 3, 20], metavar="FLIGHTS")
-    parser.add_argument("--seconds", type=float, default=8.0, help="of each measurement")
-    parser.add_argument("--page", type=Path, help="measure this page instead")
-    options = parser.parse_args()
+def page(
+    *counts: Annotated[options.Count, Parameter(name="FLIGHTS")],
+    seconds: options.Positive = 8.0,
+    page: options.ExistingFile | None = None,
+) -> None:
+    """Print a line for each number of flights (1, 3 and 20), or for a page, and each size.
+
+    Args:
+        seconds: Duration of each measurement.
+        page: Measure this page instead.
+    """
+    from playwright.sync_api import sync_playwright
+
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
         path = shutil.which("chromium") or shutil.which("chromium-browser")
         browser = playwright.chromium.launch(executable_path=path, args=list(OPTIONS))
-        for count in [0] if options.page else options.counts:
-            page = options.page or Path(folder) / f"{count}.html"
-            if not options.page:
+        for count in [0] if page else counts or (1, 3, 20):
+            file = page or Path(folder) / f"{count}.html"
+            if not page:
                 flights = (circle(f"flight {k}", LAP + 0.02 * k, LAPS) for k in range(count))
-                write_page(page, scene(*flights))
-            measure(browser, page.resolve(), 1.0, SIZES[0])  # the first pages are slower
+                write_page(file, scene(*flights))
+            measure(browser, file.resolve(), 1.0, SIZES[0])  # the first pages are slower
             for size in SIZES:
-                found = measure(browser, page.resolve(), options.seconds, size)
-                print(f"{count or page.name} flights, {size[0]}x{size[1]}: {found}", flush=True)
+                found = measure(browser, file.resolve(), seconds, size)
+                print(f"{count or file.name} flights, {size[0]}x{size[1]}: {found}", flush=True)
         browser.close()
 
 
@@ -92,4 +99,4 @@ def _seconds() -> float:
 
 
 if __name__ == "__main__":
-    main()
+    script(page)

@@ -6,15 +6,16 @@ from hover (``e2e.npz``, mean action; another with ``--policy FILE --race CONFIG
 force along body z per mass in m/s^2 (down is positive) and the moments in N m.
 """
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import quadjax
+from quadjax.cli import options, script
 from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.vectors import Rotors, Vec3
@@ -81,22 +82,22 @@ def row(name: str, values: Sequence[float]) -> str:
     return f"| {name} | {force} | {rms} | {values[6]:.2f} | {deviation} |"
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("files", nargs="*")
-    parser.add_argument("--plant", nargs="+", default=[])
-    parser.add_argument("--policy", type=Path, default=PRETRAINED / "e2e.npz")
-    parser.add_argument("--race", default="e2e")
-    arguments = parser.parse_args()
-    states = states_of(arguments.policy, arguments.race)
+def residual_size(
+    *files: str,
+    plant: Annotated[tuple[options.PlantConfig, ...], options.LIST] = (),
+    policy: options.PolicyFile = PRETRAINED / "e2e.npz",
+    race: str = "e2e",
+) -> None:
+    """Print the table of residual files and plants."""
+    for file in files:
+        read_residual(file)
+    configs, states = [load_plant_config(name) for name in plant], states_of(policy, race)
     deviations = "Fz deviation | Mx, My, Mz deviation"
     print(f"| residual | Fz mean / rms / largest, m/s^2 | Mx, My, Mz rms, N m | {deviations} |")
     print("|---|---|---|---|---|")
-    for path in arguments.files:
-        print(row(Path(path).stem, sizes(*of_residual(path, states))))
-    for name in arguments.plant:
-        config = load_plant_config(name)
+    for file in files:
+        print(row(Path(file).stem, sizes(*of_residual(file, states))))
+    for name, config in zip(plant, configs, strict=True):
         drones = [
             sizes(*of_plant(config.replace(constants=config.constants.replace(seed=seed)), states))
             for seed in range(1, 41)
@@ -106,4 +107,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    script(residual_size)

@@ -67,9 +67,9 @@ def scorer(config: quadjax.Config) -> Callable[[ActorCritic], list[float]]:
 def seeds_at_once(
     preset: str,
     *changes: str,
-    seeds: Annotated[tuple[int, ...], options.LIST],
-    output: Path = Path("runs"),
-    limit: float = math.inf,
+    seeds: options.Seeds,
+    output: options.Folder = Path("runs"),
+    limit: Annotated[float, options.number(0.0, math.inf)] = math.inf,
 ) -> None:
     """Train the seeds of a preset together."""
     start, name = time.monotonic(), quadjax.load(preset, changes).name

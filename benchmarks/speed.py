@@ -2,23 +2,24 @@
 
 Environment steps a second with the reset of finished episodes, the same with the observation for
 each vehicle model, and training steps a second. Every measurement runs in a separate process: the
-median of its repeats, in brackets the slowest. docs/design/simulator.md has numbers. Arguments: the
-number of repeats, and the measurements if not all, KIND:NAME:ENVIRONMENTS (``training:e2e:8192``).
+median of its repeats, in brackets the slowest. docs/design/simulator.md has numbers.
 """
 
 import multiprocessing
 import os
 import re
 import statistics
-import sys
 import timeit
 
+from quadjax.cli import options, script
+from quadjax.core.errors import InputError
+from quadjax.core.resources import find_config
+
+FORM = re.compile(r"training:\w+:\d{1,8}|(environment|observed):\w+:[1-9]\d{0,7}")
 STEPS_PER_CALL = 4_000_000  # environment steps in one timed call, about
-JOBS = (
-    *(("environment", "e2e", number) for number in (1, 64, 4096, 65_536)),
-    *(("observed", vehicle, 4096) for vehicle in ("bebop1", "5inch", "a2rl", "cpc")),
-    *(("training", preset, 0) for preset in ("e2e", "e2e_ppo", "e2e_paper")),
-)
+JOBS = [f"environment:e2e:{number}" for number in (1, 64, 4096, 65_536)]
+JOBS += [f"observed:{vehicle}:4096" for vehicle in ("bebop1", "5inch", "a2rl", "cpc")]
+JOBS += [f"training:{preset}:0" for preset in ("e2e", "e2e_ppo", "e2e_paper")]
 
 
 def environment_loop(config, num_envs: int, observed: bool) -> tuple:
@@ -45,12 +46,11 @@ def environment_loop(config, num_envs: int, observed: bool) -> tuple:
         return jax.lax.scan(one, (state, jnp.zeros(action.shape[0])), None, steps)[0]
 
     state = jax.jit(batched.reset)(params, jax.random.split(jax.random.key(0), num_envs))
-    shape = (num_envs, environment.action_size)
-    action = jax.random.uniform(jax.random.key(1), shape, minval=-1.0)
+    action = jax.random.uniform(jax.random.key(1), (num_envs, environment.action_size), minval=-1.0)
     split, rows = parallel.split_last(state), PartitionSpec(parallel.AXIS)
     specs = {"in_specs": (PartitionSpec(), split, split, rows), "out_specs": (split, rows)}
-    mesh = parallel.make_mesh(parallel.choose_devices("auto", num_envs))
-    sharded = jax.shard_map(loop, mesh=mesh, **specs, check_vma=False)
+    specs["mesh"] = parallel.make_mesh(parallel.choose_devices("auto", num_envs))
+    sharded = jax.shard_map(loop, **specs, check_vma=False)
     compiled = jax.jit(sharded, compiler_options=parallel.compile_options())
     return lambda: jax.block_until_ready(compiled(params, state, state, action)), steps * num_envs
 
@@ -76,35 +76,35 @@ def training_loop(config) -> tuple:
     return call, updates * learner.steps_per_update
 
 
-def measure(kind: str, name: str, num_envs: int, repeats: int) -> str:
+def measure(kind: str, name: str, number: str, repeats: int) -> str:
     """One measurement, in this process: "environment", "observed" or "training"."""
     from quadjax.config.loading import load_config
     from quadjax.learners.parallel import prepare_devices
 
-    observed, training = kind == "observed", kind == "training"
-    words = [f"vehicle={name}"] * observed + [f"learner.num_envs={num_envs}"] * bool(
-        training and num_envs
-    )
-    config = load_config("e2e" if observed else name, words)
+    observed, training, envs = kind == "observed", kind == "training", int(number)
+    words = [f"learner.num_envs={number}"] * (training and envs > 0)
+    config = load_config("e2e", [f"vehicle={name}"]) if observed else load_config(name, words)
     prepare_devices("auto")
-    call, steps = (
-        training_loop(config) if training else environment_loop(config, num_envs, observed)
-    )
+    call, steps = training_loop(config) if training else environment_loop(config, envs, observed)
     call()  # compiles, and touches memory for the first time
     times = [timeit.timeit(call, number=1) for _ in range(repeats)]
     speed, time_step = steps / statistics.median(times), config.rules.time_step
-    simulated = f"{speed * time_step:,.0f} simulated s/s at {1.0 / time_step:.0f} Hz"
-    speeds = f"{speed:,.0f} ({steps / max(times):,.0f}) steps/s, {simulated}"
-    return f"{kind:>12} {name:>10} {num_envs or config.learner.num_envs:>8,} {speeds}"
+    speeds = f"{speed:,.0f} ({steps / max(times):,.0f}) steps/s, {speed * time_step:,.0f} simulated"
+    job = f"{kind:>12} {name:>10} {envs or config.learner.num_envs:>8,}"
+    return f"{job} {speeds} s/s at {1.0 / time_step:.0f} Hz"
+
+
+def speed(repeats: options.Count = 3, /, *words: str) -> None:
+    """Measure all, or KIND:NAME:ENVIRONMENTS .., and print a line for each."""
+    for word in words:
+        if not FORM.fullmatch(word):
+            raise InputError(f"{word}: allowed: {{environment|observed|training}}:NAME:NUMBER")
+        find_config(word.split(":")[1], "vehicles" if word.startswith("observed") else "")
+    print(f"{os.cpu_count()} cores")
+    for word in words or JOBS:
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            print(pool.apply(measure, (*word.split(":"), repeats)), flush=True)
 
 
 if __name__ == "__main__":
-    print(f"{os.cpu_count()} cores")
-    form = r"\d+( (environment|observed|training):\w+:\d+)*"
-    if sys.argv[1:] and not re.fullmatch(form, " ".join(sys.argv[1:])):
-        print("allowed: REPEATS and {environment|observed|training}:NAME:NUMBER", file=sys.stderr)
-        sys.exit(2)
-    named = [word.split(":") for word in sys.argv[2:]]
-    for job in [(kind, name, int(number)) for kind, name, number in named] or JOBS:
-        with multiprocessing.get_context("spawn").Pool(1) as pool:
-            print(pool.apply(measure, (*job, int(sys.argv[1]) if sys.argv[1:] else 3)), flush=True)
+    script(speed)

@@ -86,13 +86,15 @@ def tracks(
 ) -> None:
     """Train, or fly POLICY; ``tracks`` are names, files or random_SEED, ``runs`` random starts."""
     laps, rows = read_best(best), [TITLES]
-    for vehicle in drones:
-        for track in tracks:
-            names, words = (Path(track).stem, Path(vehicle).stem), words_of(track, vehicle)
-            name, words = "_".join(names), [*words, *overrides]
-            file = policy or train_once(config, [*words, f"name={name}"], output) / "policy.npz"
-            race, picture = quadjax.load(config, words), output / name / "lap.png"
-            rows.append(row_of(file, race, names, laps.get(names), runs, picture))
+    pairs = [(track, vehicle) for vehicle in drones for track in tracks]
+    words = {pair: [*words_of(*pair), *overrides] for pair in pairs}
+    races = {pair: quadjax.load(config, words[pair]) for pair in pairs}
+    for (track, vehicle), race in races.items():
+        names, changes = (Path(track).stem, Path(vehicle).stem), words[track, vehicle]
+        name = "_".join(names)
+        file = policy or train_once(config, [*changes, f"name={name}"], output) / "policy.npz"
+        picture = output / name / "lap.png"
+        rows.append(row_of(file, race, names, laps.get(names), runs, picture))
     print(table(rows))
 
 

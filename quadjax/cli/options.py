@@ -141,6 +141,12 @@ def path(allowed: str, convert: Callable[[str], Path] = Path, **named: Any) -> P
     return reads(checked, **named)
 
 
+def _existing_file(text: str) -> Path:
+    if not Path(text).is_file():
+        raise ValueError(f"{text}: no such file")
+    return Path(text)
+
+
 def _run_name(text: str) -> str:
     if not re.fullmatch(FOLDER_NAME, text):
         allowed = "letters, digits, '_', '.' and '-', the last two not first"
@@ -187,6 +193,8 @@ Export = Annotated[Path, path("the folder of quadjax export, or a file")]
 Folder = Annotated[Path, path("the name of a folder", writable_folder, metavar="DIR")]
 RunsFolder = Annotated[Folder, OutputFolder(), Parameter(help="Write to DIR/NAME.")]
 InputFile = Annotated[Path, path("a file", metavar="FILE")]
+ExistingFile = Annotated[Path, path("a file", _existing_file, metavar="FILE")]
+ExistingFiles = Annotated[ExistingFile, Parameter(required=True)]  # of ``*files``
 Seed = Annotated[int, whole(0, MAX_SEED)]
 Laps = Annotated[int, whole(1, MAX_LAPS)]
 Gates = Annotated[int, whole(1, MAX_GATES)]
@@ -195,6 +203,7 @@ Plants = Annotated[int, whole(1, MAX_PLANTS)]
 Count = Annotated[int, whole(1, 10**6)]
 Positive = Annotated[float, number(1e-6, 50.0)]
 LIST = Parameter(consume_multiple=True)  # values that follow one another; else the option repeats
+Seeds = Annotated[tuple[Seed, ...], LIST, Parameter(metavar="N ...")]
 
 
 @Parameter(name="*")

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from quadjax.config.schema import Config
 
 SEEDS = Group("Several seeds", sort_key=2)
-Seeds = Annotated[tuple[opt.Seed, ...], opt.LIST, Parameter(metavar="N ...")]
 
 
 def train(
@@ -30,7 +29,7 @@ def train(
     resume: opt.Flag = False,
     overwrite: opt.Flag = False,
     fine_tune: opt.PolicyFile | None = None,
-    seeds: Annotated[Seeds | None, Parameter(group=SEEDS)] = None,
+    seeds: Annotated[opt.Seeds | None, Parameter(group=SEEDS)] = None,
     runs: Annotated[opt.Runs, Parameter(group=SEEDS)] = 100,
     figure: opt.Picture = None,
 ) -> int:

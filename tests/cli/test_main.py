@@ -58,9 +58,12 @@ def test_a_name_is_shown_by_its_kind(name, capsys):
 def test_a_script_of_the_benchmarks_is_short_and_has_help(script, capsys):
     text = script.read_text()
     assert len(text.splitlines()) <= 110
-    if "quadjax.cli" in text and "__main__" in text:
+    if "__main__" in text:
         assert run_script(script.stem, "--help") == 0
         assert "Usage:" in capsys.readouterr().out
+        assert run_script(script.stem, "--nosuch") == 2
+        error = capsys.readouterr().err
+        assert error.startswith("error: ") and error.count("\n") == 1
 
 
 IN_THE_TYPE = """

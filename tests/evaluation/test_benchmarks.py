@@ -93,7 +93,7 @@ def test_scripts_print_their_tables(tmp_path, monkeypatch, capsys):
     assert run_script("probe", "e2e +fastest", "randomization.all=0.2", *few) == 0
     assert "| layer 2 |" in capsys.readouterr().out
     monkeypatch.setattr(speed, "STEPS_PER_CALL", 100)
-    assert "steps/s" in speed.measure("observed", "bebop1", 2, 1)
+    assert "steps/s" in speed.measure("observed", "bebop1", "2", 1)
 
 
 @pytest.mark.slow

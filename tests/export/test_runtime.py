@@ -190,7 +190,7 @@ def test_mutated_files_under_sanitizers(tmp_path):
     for name in ("published racing", "everything", "racing with a history"):
         files.append(tmp_path / f"{name}.qjp")
         files[-1].write_bytes(pack(fixed(name)))
-    assert mutate.mutate(files, 4500, 450, 0, mutate.build(tmp_path)) == []
+    assert mutate.fuzz(files, 4500, 450, 0, mutate.build(tmp_path)) == []
 
 
 @pytest.mark.slow

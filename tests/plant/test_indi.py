@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.identify import EXPECTED, identify
+from benchmarks.identify import EXPECTED, responses
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import indi
 from quadjax.plant.config import IndiConfig, PlantConfig, without_effects
@@ -92,6 +92,6 @@ def test_limits_of_equal_speeds_are_finite(params):
 def test_the_loop_is_as_fast_as_training_assumes():
     """On the nominal plant, for steps that the motors can follow."""
     sizes = {"p": (1.0, -2.0), "q": (1.0, -2.0), "r": (0.5, -1.0), "T": (8.0, 12.0)}
-    for step in identify(without_effects(PlantConfig()), sizes):
+    for step in responses(without_effects(PlantConfig()), sizes):
         assert EXPECTED[0] <= step.tau <= EXPECTED[1], (step.axis, step.target, step.tau)
         assert step.error < 0.1
