@@ -45,7 +45,7 @@ RATE_ERROR = 0.05  # of a log's sample rate, of a policy that observes a history
 UNITS = {"position": "m", "velocity": "m/s", "attitude": "deg", "rates": "rad/s"}  # of errors
 FILES = ("table.txt", "replay.json", "trajectory.*", "prediction.*", "commands.*")
 PREDICTIONS = {"model": "rms_error", "unchanged": "rms_unchanged"}  # keys by label
-LABELS = ("policy, fixed point", "policy", "logged")  # of commands
+LABELS = ("policy, fixed point", "policy")  # of commands
 CELLS = {  # of a command: title and format
     "logged_mean": ("logged", ".4g"),
     "policy_mean": ("policy", ".4g"),
@@ -163,7 +163,7 @@ def _commands(flight: Flight, race: PolicyRace, policy: Policy) -> tuple[dict[st
     fixed, inside, record = _fixed_point(policy, observations)
     names = [(x, f"_{i + 1}" * (x.size > 1)) for x in model.commands for i in range(x.size)]
     labels, units = [x.name + number for x, number in names], [x.unit for x, _ in names]
-    response = Response(logged, fixed, values, low, high, labels, units, LABELS)
+    response = Response(logged, fixed, values, low, high, labels, units, (*LABELS, source))
     with np.errstate(invalid="ignore"):  # of commands that do not change
         correlation = np.corrcoef(values.T, logged.T)
     at_limit = np.minimum(values - low, high - values) < AT_LIMIT * (high - low)

@@ -265,7 +265,8 @@ def error_figure(flight: Flight, signals: Response, gates: int, title: str = "")
                 low = 0.0 if number % gates == 0 else 0.94
                 axes.axvline(passed, ymin=low, color=MUTED, lw=0.8, zorder=0)
         left.set_ylabel(f"{signals.names[index]}\n({signals.units[index]})", **small)
-        text = f"RMS {signals.rms[index]:.3g} {signals.units[index]}"
+        rms, unit = signals.rms[index], signals.units[index]
+        text = f"RMS {rms:.3g} {unit}" if np.isfinite(rms) else "no measurement"
         right.set_title(text, loc="right", pad=2, **small)
     grid[0, 1].set_title(f"{labels[2]} minus {labels[1]}", loc="left", pad=2, **small)
     for axes in grid[-1]:
