@@ -14,7 +14,7 @@ import optuna
 from quadjax import cli
 from quadjax.core.errors import InputError
 from quadjax.core.yaml_files import to_yaml
-from quadjax.sweeps import report, run
+from quadjax.sweeps import run
 from quadjax.sweeps.study import open_study, trials_over
 from quadjax.sweeps.sweep import Sweep, load_sweep
 from quadjax.sweeps.workers import LocalWorkers, RayWorkers
@@ -100,6 +100,7 @@ def impossible(sweep, params, seed, folder, enough):
 
 
 if __name__ == "__main__":
+    from quadjax.sweeps import report
     from tests.sweeps import stand_in  # so that workers find ``measure`` by its module
 
     run.train_and_fly, report.draw = stand_in.measure, lambda *_: None
