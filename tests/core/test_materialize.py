@@ -52,3 +52,16 @@ def test_a_materialized_function_is_the_same_function(name):
     wanted = jax.grad(total(once), (0, 1))(TREE, y)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), slope, wanted)
     assert np.abs(wanted[1]).max() > 0.1
+
+
+def test_a_function_is_traced_once_for_all_programs():
+    calls = []
+
+    def double(x):
+        calls.append(x)
+        return 2.0 * x
+
+    for factor in (3.0, 5.0):
+        program = jax.jit(lambda on, x, factor=factor: factor * materializing(on)(double, x))
+        assert program(jnp.asarray(True), 1.5) == factor * 3.0
+    assert len(calls) == 1
