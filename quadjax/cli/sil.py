@@ -143,10 +143,10 @@ def _shown(flown: "Flown", folder: Path, view: bool, source: str) -> int:
         show(str(folder / STATES_FILE), output=folder / "flight.html", open_=True)
     else:
         print(f"Next: quadjax view {folder / STATES_FILE}")
-    if setting.listen is None and setting.source.is_file():
-        print(f"Then: quadjax export {source} --target {setting.target} --output out")
-    elif setting.listen is None and not last.flight.crash:
-        print(f"Then: copy the C of {setting.source} to the autopilot")
+    if setting.listen is None and not any(flown.laps.crashes):
+        export = f"quadjax export {source} --target {setting.target} --output out"
+        copy = f"copy the C of {setting.source} to the autopilot"
+        print(f"Then: {export if setting.source.is_file() else copy}")
     return INTERRUPTED if last.flight.crash == STOPPED else 0
 
 

@@ -37,12 +37,14 @@ SIZE = (DTYPES[Kind.STATE].itemsize - HEADER.itemsize) // 4 - 2  # floats of a s
 
 
 @pytest.mark.parametrize("crash", ["", "ground"])
-def test_c_that_crashed_is_not_to_be_copied(crash, tmp_path, capsys):
-    flight = SimpleNamespace(time=[0.0], crash=crash)
-    race, setting = SimpleNamespace(flight=flight, gone=None), Setting(tmp_path, None)
-    flown = SimpleNamespace(setting=setting, races=[race])
+@pytest.mark.parametrize(("file", "step"), [("", "copy the C"), ("p.npz", "quadjax export e2e")])
+def test_c_of_which_a_flight_crashed_is_not_to_be_used(file, step, crash, tmp_path, capsys):
+    (tmp_path / "p.npz").touch()
+    race = SimpleNamespace(flight=SimpleNamespace(time=[0.0], crash=""), gone=None)
+    laps = SimpleNamespace(crashes=(crash, ""))  # the last of two flights completes its laps
+    flown = SimpleNamespace(setting=Setting(tmp_path / file, None), races=[race], laps=laps)
     assert command._shown(flown, tmp_path, False, "e2e") == 0
-    assert ("copy the C" in capsys.readouterr().out) is not bool(crash)
+    assert (f"Then: {step}" in capsys.readouterr().out) is not bool(crash)
 
 
 def on_the_plant(folder):
