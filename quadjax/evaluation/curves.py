@@ -19,7 +19,7 @@ Metrics = Mapping[str, np.ndarray]  # column name -> (rows,)
 ACROSS = {"seconds": ("wall time (s)", 1.0), "steps": ("environment steps (millions)", 1e-6)}
 UPWARDS = {
     "reward": "reward per step",
-    "lap_total": "all laps (s)",
+    "lap_total": "score: all laps (s)",
     "episode_reward": "reward of an episode",
     "crash_rate": "crash rate",
 }

@@ -157,7 +157,7 @@ def _run(
         row = _row(job.config, progress, run_state, laps)
         metrics.write(row)
         if display is not None:
-            display.show(row)
+            display.show(row, laps.finished / len(laps.crashes))
             if progress.steps >= advise_at and not math.isfinite(run_state.best_score):
                 advise_at = math.inf
                 display.note(no_lap(laps.crashes, progress.steps))

@@ -162,7 +162,7 @@ def test_training_curves_have_the_columns_of_a_metrics_file(tmp_path):
     metrics = read_metrics(path)
     assert metrics["steps"].tolist() == [1, 2, 3, 4, 5]
     panels = training_figure({"run": metrics}, "run", ("published", 15.75)).axes
-    assert [axes.get_ylabel() for axes in panels[::2]] == ["reward per step", "all laps (s)"]
+    assert [axes.get_ylabel() for axes in panels[::2]] == ["reward per step", "score: all laps (s)"]
     np.testing.assert_allclose(panels[3].lines[0].get_data(), [[4e-6, 5e-6], [16, 15]])
     assert [text.get_text() for text in panels[3].texts] == ["published"]
     no_laps = metrics | {"lap_total": np.full(5, np.inf)}
