@@ -9,7 +9,10 @@ from types import FrameType
 
 from quadjax.core.errors import INTERRUPTED
 
-STOPPING = b"\nstopping: saved after the next evaluation; Ctrl-C again ends without saving\n"
+STOPPING = (
+    b"\nstopping: saved after the next evaluation; nothing to save if it still compiles; "
+    b"Ctrl-C again ends without saving\n"
+)
 Handler = Callable[[int, FrameType | None], object] | int | None
 
 
