@@ -248,19 +248,21 @@ def _check_track(config: Config) -> None:
             refuse("track.start", None, "{position, yaw_deg} with track.closed false")
     if track.start is not None:
         on_ground = track.start.position[2] == 0 and rules.ground_speed is not None
-        if not _within(config, track.start.position, on_ground):
-            allowed = "above ground (on it with rules.ground_speed) and within the rules' limits"
-            refuse("track.start.position", track.start.position, allowed)
+        _check_place(config, "track.start.position", track.start.position, on_ground)
 
 
-def _within(config: Config, position: Sequence[float], ground: bool = False) -> bool:
-    """Whether a position is above ground (or on it) and within the rules' limits."""
-    limit, box = config.rules.position_limit, config.rules.bounds
-    x, y, z = position
-    z = min(z, -1e-6) if ground else z
-    inside = z < 0 and (limit is None or max(abs(x), abs(y)) < limit)
-    spans = zip((x, y, z), box or (), strict=box is not None)
-    return inside and all(low < p < high for p, (low, high) in spans)
+def _check_place(config: Config, key: str, place: Sequence[float], ground: bool = False) -> None:
+    """Check that a position is above ground (or on it) and within the rules' limits."""
+    limit, (x, y, z) = config.rules.position_limit, place
+    z, far = min(z, -1e-6) if ground else z, max(abs(x), abs(y))
+    if z >= 0:
+        refuse(key, place, "z below 0 (above ground; 0 at a start with rules.ground_speed)")
+    if limit is not None and far >= limit:
+        file = f"a track file may set rules: {{position_limit: {1.5 * far:g}}}"
+        refuse(key, place, f"x and y below rules.position_limit, {limit:g} m; {file}")
+    for axis, p, (low, high) in zip("xyz", (x, y, z), config.rules.bounds or (), strict=False):
+        if not low < p < high:
+            refuse(key, place, f"{axis} within rules.bounds, {low:g} to {high:g} m")
 
 
 def _check_gate(config: Config, index: int) -> None:
@@ -281,9 +283,7 @@ def _check_gate(config: Config, index: int) -> None:
     upright = gate.shape == "rectangle" and gate.pitch_deg == gate.roll_deg == 0
     if config.rules.gate_test == "world_box" and not upright:
         refuse("rules.gate_test", "world_box", f"square, because {key} is tilted or round")
-    if not _within(config, gate.position):
-        allowed = "z below 0 (above ground), within rules.bounds and rules.position_limit"
-        refuse(f"{key}.position", gate.position, allowed)
+    _check_place(config, f"{key}.position", gate.position)
     before = gates[index - 1].position
     follows = index > 0 or (config.track.closed and len(gates) > 1)
     if follows and math.dist(before, gate.position) < SMALLEST_LEG:

@@ -94,6 +94,10 @@ def _with_files(
             tree = merge_trees(tree, {section: {key: str(folders[0] / name)}})
     if isinstance(tree.get("schedules"), dict):  # schedules: {learner: {std: ..}} is meant too
         tree = {**tree, "schedules": flatten(tree["schedules"], SCHEDULE_KEYS)}
+        for key, value in tree["schedules"].items():
+            hint = close_match(key.rpartition(".")[2], SCHEDULE_KEYS)
+            if hint and value is not None and not isinstance(value, dict):
+                raise InputError(f"{source}: unknown key schedules.{key}{hint}")
     layers: list[Layer] = []
     for section in DEFAULTS:
         named = tree.get(section)

@@ -57,6 +57,7 @@ NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 FOLDER_NAME = r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}"
 FolderName = Annotated[str, Field(pattern=rf"^{FOLDER_NAME}$")]
+KEYS_OF_FILES = {"gates": "track=FILE", "mass": "vehicle=FILE"}  # that are no config
 ALLOWED = {  # by the type of pydantic's error
     "bool_type": "true or false",
     "dict_type": "a mapping",
@@ -196,7 +197,7 @@ def load_section(
         InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
     """
     path = find_config(path, folder)
-    layers: list[Layer] = [*read_layers(path), ("overrides", parse_overrides(overrides))]
+    layers: list[Layer] = [*read_layers(path, folder), ("overrides", parse_overrides(overrides))]
     return validate(schema, *merge_layers(layers, path))
 
 
@@ -251,6 +252,8 @@ def _bad_value(
     if error["type"] == "extra_forbidden":
         names = fields_at(schema, location[:-1])
         hint, there = close_match(str(location[-1]), list(names)), ", ".join(sorted(names))
+        if key in KEYS_OF_FILES:
+            hint = f"; a file with it is given as {KEYS_OF_FILES[key]}"
         return BadValue(key, f"unknown key {key}{hint}; allowed there: {there}")
     if error["type"] in ("value_error", "assertion_error"):
         reason = str(error["ctx"]["error"])

@@ -19,7 +19,7 @@ from ruamel.yaml.representer import RoundTripRepresenter
 
 from quadjax.core.errors import InputError, prefixed, short
 from quadjax.core.files import read_text
-from quadjax.core.resources import find_file
+from quadjax.core.resources import CONFIGS, find_file
 
 WIDTH = 79  # of comments, characters
 MAX_VALUES = 10**6  # of a file, which may come from a stranger
@@ -87,14 +87,16 @@ def _loader() -> YAML:
     return loader
 
 
-def read_layers(path: Path | str, chain: tuple[Path, ...] = ()) -> list[Layer]:
+def read_layers(path: Path | str, kind: str = "", chain: tuple[Path, ...] = ()) -> list[Layer]:
     """A YAML mapping and those of the files that its key ``base`` names, the lowest first.
 
-    A base is a path relative to the file that names it, or the name of a file in ``configs/``,
-    with or without ``.yaml``. ``base`` is one or a list; each is merged over those before it.
+    A base is a path relative to the file that names it, or the name of a file in ``configs/`` or
+    ``configs/kind``, with or without ``.yaml``. ``base`` is one or a list; each is merged over
+    those before it.
 
     Args:
         path: the file.
+        kind: folder of ``configs/`` with files of its kind.
         chain: files whose bases lead to this one.
 
     Raises:
@@ -112,10 +114,10 @@ def read_layers(path: Path | str, chain: tuple[Path, ...] = ()) -> list[Layer]:
     layers: list[Layer] = []
     for name in names:
         with prefixed(f"{path}: base"):
-            base = find_file(name, [path.parent])
+            base = find_file(name, [path.parent, CONFIGS], kind)
         if base.resolve() in chain:
             raise InputError(f"{path}: base {name} leads back to itself")
-        layers += read_layers(base, chain)
+        layers += read_layers(base, kind, chain)
     return [*layers, (path, tree)]
 
 

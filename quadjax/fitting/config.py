@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator
 
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, close_match
 from quadjax.core.sections import (
     MAX_SEED,
     RISING,
@@ -94,9 +94,8 @@ class LogsConfig(Section):
             raise ValueError(f"logs.format is {self.format!r}, allowed: {ALLOWED}")
         for quantity, names in self.columns.items():
             if quantity not in QUANTITIES:
-                raise ValueError(
-                    f"unknown key logs.columns.{quantity}; allowed: {list(QUANTITIES)}"
-                )
+                key = f"logs.columns.{quantity}{close_match(quantity, list(QUANTITIES))}"
+                raise ValueError(f"unknown key {key}; allowed: {list(QUANTITIES)}")
             width = QUANTITIES[quantity].width
             if names and len(names) != width:
                 raise ValueError(

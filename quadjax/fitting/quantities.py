@@ -70,7 +70,8 @@ def wanted_columns(
     for quantities, words in needed:
         if not set(quantities) & set(wanted):
             raise InputError(f"{path}: no columns for {words}")
-    if "body_velocity" not in wanted and not set(ATTITUDES) & set(wanted):
+    rotated = "body_velocity" not in wanted and set(wanted["world_velocity"]) <= set(header)
+    if rotated and not set(ATTITUDES) & set(wanted):
         raise InputError(
             f"{path}: world_velocity needs columns for {', '.join(ATTITUDES[:-1])} or "
             f"{ATTITUDES[-1]} (logs.columns)"

@@ -171,8 +171,8 @@ def initial_policy(config: Config) -> Policy | None:
     ):
         if value != allowed:
             raise InputError(
-                f"run.initial_policy: {config.run.initial_policy} has {name} {value}, the config "
-                f"has {allowed}"
+                f"{config.run.initial_policy} (--fine-tune or run.initial_policy) has {name} "
+                f"{value}, the config has {allowed}"
             )
     return policy
 

@@ -89,7 +89,11 @@ def read_summary(folder: Path) -> dict[str, Any]:
         InputError: missing or damaged.
     """
     path = folder / "summary.json"
-    summary = read_json(path)
+    try:
+        summary = read_json(path)
+    except InputError as error:
+        remedy = "; remove it and resume the run" if path.exists() else ""
+        raise InputError(f"{error}{remedy}") from None
     score = next((name for name in SCORE_NAMES.values() if f"best_{name}" in summary), "score")
     kinds = SUMMARY | {f"{which}_{score}": OPTIONAL_NUMBER for which in ("best", "last")}
     wrong = [key for key, kind in kinds.items() if not isinstance(summary.get(key, ...), kind)]

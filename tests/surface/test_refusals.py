@@ -17,6 +17,9 @@ FILES = {
     "list.yaml": "- 1\n- 2\n",
     "key.yaml": "base: e2e\nlerner: {}\n",
     "gates.yaml": "name: one\ngates:\n- {position: [0, 0], yaw_deg: 0}\n",
+    "far.yaml": "gates:\n- {position: [10, 0, -2], yaw_deg: 90}\n",
+    "based.yaml": "base: papparazzi\n",
+    "abc.csv": "a,b,c\n1,2,3\n4,5,6\n",
     "bytes.npz": "PK not an archive",
     "notes.txt": "a text",
     "empty.csv": "",
@@ -72,6 +75,12 @@ train e2e rules.extra=[nosuch:term] | nosuch
 train e2e reward.extra=[code] | reward.extra
 train e2e 'schedules.nosuch.key={linear: [0, 1]}' | schedules nosuch
 train e2e 'schedules.learner.std={linear: [0, a]}' | schedules learner.std
+train e2e 'schedules={learner.std: {lin: [0, 1]}}' | unknown key schedules.learner.std.lin linear
+train e2e --fine-tune indi | --fine-tune rate motor
+train gates.yaml | unknown key gates track=FILE
+limit gates.yaml | unknown key gates track=FILE
+show far.yaml | gates[0].position below rules.position_limit, 10 m {position_limit: 15}
+show e2e 'rules.bounds=[[-5, 5], [-5, 5], [-1, 0]]' | gates[0].position z rules.bounds, -1 to 0
 train e2e 'schedules.evaluate.laps={linear: [1, 2]}' | evaluate.laps key number
 train e2e 'schedules.run.checkpoint_seconds={linear: [value, 2]}' | checkpoint_seconds effect
 train e2e reward.gate=3 'schedules.reward.gate={linear: [3, 3]}' | reward.gate effect
@@ -168,6 +177,10 @@ sweep key.yaml | key.yaml
 sweep learning_rate budget.trials=0 | overrides: budget.trials 0
 fit nosuch | nosuch current folder fit configs paparazzi
 fit latin.yaml | latin.yaml
+fit gates.yaml | unknown key gates track=FILE
+fit based.yaml | base: papparazzi current folder fit; did you mean paparazzi
+fit paparazzi logs.files=abc.csv | abc.csv column 'time' missing
+fit paparazzi logs.columns.tim=[a] | logs.columns.tim; mean time?
 fit paparazzi logs.files=tracks | logs.files tracks folder tracks/*.csv
 fit paparazzi logs.files=[latin.csv] | latin.csv line 3 not UTF-8 text
 fit standin logs.files=[empty.csv] | empty.csv
