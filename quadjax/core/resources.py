@@ -83,8 +83,8 @@ def find_file(name: str, folders: Sequence[Path], kind: str = "") -> Path:
         raise InputError(f"{present[0]}: is a directory, expected a file")
     stems = [path.stem for place in places for path in sorted(place.glob("*.yaml"))]
     hint = close_match(Path(name).stem, stems)
-    names = ", ".join(preset_names(kind))
-    shipped = f"; {KINDS.get(kind, kind)} of quadjax: {names}" if kind else ""
+    kinds, listed = KINDS.get(kind, kind).partition(" (")[0], ", ".join(preset_names(kind))
+    shipped = f"; {kinds} of quadjax: {listed}" if kind else ""
     place = _listed([*folders, places[-1]])
     raise InputError(f"{short(name)}: no such file in {place}{hint}{shipped}")
 

@@ -135,7 +135,9 @@ def signals_figure(flight: Flight, title: str = "") -> Figure:
     outputs = dict(zip(labels, actuators.values.T, strict=True))
     if len(outputs) == 1:
         outputs[COMMANDED] = flight["command"][:, 3]
-    angles = np.degrees(np.unwrap(flight["attitude"], axis=0)).T
+    angles = (np.degrees(flight["attitude"]) + 180.0) % 360.0 - 180.0
+    jumps = np.abs(np.diff(angles, axis=0, prepend=angles[:1])) > 180.0  # from 180 to -180
+    angles = np.where(jumps, np.nan, angles).T
     panels: dict[str, dict[str, np.ndarray]] = {
         "height (m)": {"": -flight["position"][:, 2]},
         "speed (m/s)": {"": flight.speed},

@@ -290,6 +290,7 @@ def errors_figure(result: Fit) -> Figure:
             for name, error in errors.items():
                 axes.hist(error, label=LABELS[name], color=COLORS[name], **style)
             axes.set_yticks([])
+            axes.locator_params(axis="x", nbins=3)
             unit = result.units[axis].replace("^2", "²")
             axes.set_xlabel(f"error of {axis} ({unit})", color=INK)
         row[0].set_ylabel(title, color=INK)

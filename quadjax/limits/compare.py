@@ -94,6 +94,7 @@ def flights_figure(
         _draw(problem, flight, axes, color)
     reach = 0.055 * float(np.ptp([gate.position for gate in gates], axis=0).max())
     draw_gates(path, gates, reach)
+    path.margins(0.12)  # for the numbers of the gates
     path.invert_yaxis()
     path.set(xlabel="x, north (m)", ylabel="y, east (m)")
     labels = ("speed (m/s)", "roll (deg)", "pitch (deg)", "commands")

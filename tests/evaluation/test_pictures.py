@@ -93,7 +93,10 @@ def test_signals_are_drawn_upwards_in_degrees_and_with_the_commanded_thrust(mode
     np.testing.assert_allclose(height.lines[0].get_ydata(), -flight["position"][:, 2])
     np.testing.assert_allclose(speed.lines[0].get_ydata(), flight.speed)
     for line, angle in zip(attitude.lines, flight["attitude"].T, strict=False):
-        np.testing.assert_allclose(np.radians(line.get_ydata()), np.unwrap(angle), atol=1e-9)
+        shown = np.radians(line.get_ydata())
+        assert np.nanmax(np.abs(shown)) <= np.pi and np.isnan(shown).sum() < 4  # at jumps
+        there = np.isfinite(shown)
+        np.testing.assert_allclose(np.cos(shown - angle)[there], 1.0)
     np.testing.assert_array_equal(rates.lines[1].get_ydata(), flight["rates"][:, 1])
     assert len(actuators.lines) == (5 if model == "motor" else 3)  # with the end of the lap
     commanded = [line for line in actuators.lines if line.get_label() == "commanded"]
