@@ -59,7 +59,6 @@ OPTIONS = {  # added to a command, unless it has them
     "sil": ["--laps", "1"],
     "view": ["--laps", "1"],
     "compare": ["--runs", "2", "--laps", "1", "--parts", "table"],
-    "fit": ["residual.seeds=1", "residual.epochs=3"],
     "export": ["--allow-unfinished", *(f"--range={name}={size:g}" for name, size in WIDE.items())],
     "verify": ["--allow-unfinished", "--vectors", "100"],
 }

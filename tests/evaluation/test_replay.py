@@ -47,12 +47,9 @@ def _log(path, flight, step):
 
 
 @pytest.fixture(autouse=True)
-def formats(monkeypatch):
-    """Of the figures, that one test reads: none."""
-    formats = replay.FORMATS
-    monkeypatch.setattr(replay, "FORMATS", ())
-    monkeypatch.setattr(report, "FORMATS", ())
-    return formats
+def without_figures(monkeypatch):
+    for module in (replay, report):
+        monkeypatch.setattr(module, "FORMATS", ())
 
 
 @pytest.fixture(scope="module")
@@ -73,10 +70,8 @@ def replayed(folder, log, *options):
 
 
 @pytest.mark.slow
-def test_the_policy_of_a_flight_commands_what_the_log_has(
-    flown, formats, tmp_path, capsys, monkeypatch
-):
-    monkeypatch.setattr(replay, "FORMATS", formats)
+def test_the_policy_of_a_flight_commands_what_the_log_has(flown, tmp_path, capsys, monkeypatch):
+    monkeypatch.undo()  # with figures
     log, lap_times = flown
     found = replayed(tmp_path, log, "--policy", POLICY, "--json", tmp_path / "r.json")
     text = capsys.readouterr().out
