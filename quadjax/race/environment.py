@@ -21,7 +21,7 @@ from quadjax.core.materialize import materialize, materialize_cotangent, materia
 from quadjax.core.sharing import bound, cached
 from quadjax.core.traced import with_leaves
 from quadjax.race.episode import reset
-from quadjax.race.layout import Layout, push_past
+from quadjax.race.layout import push_past
 from quadjax.race.rewards import clipped_action, reward
 from quadjax.race.rules import NOT_FINITE, evaluate_rules
 from quadjax.race.track import gate, gate_count
@@ -37,7 +37,16 @@ def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array
     params = params.on_track(state.track)
     once = materializing(params.opaque_true, gradients=True)
     step = Step(choices.model, params, state, once(gate, params.track, state.target))
-    return jnp.stack(once(bound(Layout.numbers, choices.layout), step))
+    return jnp.stack(once(bound(_numbers, choices), step))
+
+
+# ``choices`` is an argument of what is materialized, so that no trace with code of a user is kept.
+def _numbers(choices: Choices, step: Step) -> list[jax.Array]:
+    return choices.layout.numbers(step)
+
+
+def _outcome(choices: Choices, step: Step) -> Outcome:
+    return evaluate_rules(step, choices.user_rules)
 
 
 def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
@@ -82,8 +91,7 @@ def transition(
     once = materializing(params.opaque_true, gradients=True)
     after = once(bound(_simulate, choices), params, state, action)
     g = once(gate, params.track, state.target)
-    rules = bound(evaluate_rules, user_rules=choices.user_rules)
-    outcome = once(rules, Step(model, params, state, g, after))
+    outcome = once(bound(_outcome, choices), Step(model, params, state, g, after))
     invalid = outcome.crashes[NOT_FINITE]
     drone = jax.tree.map(lambda new, old: jnp.where(invalid, old, new), after, state.drone)
     value = reward(Step(model, params, state, g, drone, outcome, action), choices.user_terms)

@@ -11,6 +11,8 @@ from quadjax.core.materialize import (
     materialize_cotangent,
     materializing,
 )
+from quadjax.core.sharing import bound
+from quadjax.race.track import gate
 
 TREE = {"a": jnp.array([0.3, -0.7, 2.0]), "b": (jnp.array([1.0, 2.0, 3.0]),)}
 
@@ -65,3 +67,8 @@ def test_a_function_is_traced_once_for_all_programs():
         program = jax.jit(lambda on, x, factor=factor: factor * materializing(on)(double, x))
         assert program(jnp.asarray(True), 1.5) == factor * 3.0
     assert len(calls) == 1
+
+
+def test_functions_of_the_package_are_kept_and_those_of_a_user_are_not():
+    assert bound(gate, 1) is bound(gate, 1)
+    assert bound(once, 1) is not bound(once, 1)

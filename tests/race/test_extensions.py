@@ -110,6 +110,25 @@ def test_timed_laps_of_a_model_with_five_commands():
     np.testing.assert_allclose(flap, 0.5 * (actions[:, 4] + 1.0), atol=1e-6)
 
 
+class Limited(type(MODEL)):
+    def command_range(self, c):
+        low, high = super().command_range(c)
+        return low, jax.tree.map(lambda x: self.share * x, high)
+
+
+def test_every_program_reads_a_model_of_the_user_again():
+    choices, params = make_race()
+    state = jax.tree.map(
+        lambda x: x[..., 0], race_state("motor", level(ref.GATES[3], np.zeros(3)), 0)
+    )
+    model, seen = Limited(), []
+    for share in (1.0, 0.5):
+        object.__setattr__(model, "share", share)
+        race = dataclasses.replace(choices, model=model)
+        seen.append(jax.jit(functools.partial(environment.observe, race))(params, state))
+    assert np.abs(seen[0] - seen[1]).max() > 0.1
+
+
 def height(view):
     return (-view.drone.position.z,)
 
