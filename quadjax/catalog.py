@@ -1,5 +1,6 @@
 """The text that ``quadjax show`` prints, and files of new tracks and vehicles."""
 
+import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -12,7 +13,15 @@ from quadjax.config.reference import describe as keys_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import write_text
-from quadjax.core.resources import find_file, find_policy, is_run, policy_names, preset_names
+from quadjax.core.resources import (
+    CONFIGS,
+    KINDS,
+    find_file,
+    find_policy,
+    is_run,
+    policy_names,
+    preset_names,
+)
 from quadjax.core.sections import Section, validate
 from quadjax.core.yaml_files import override, parse_overrides, read_tree_with_bases, to_yaml
 from quadjax.evaluation.table import Table, number
@@ -48,7 +57,7 @@ def kind_of(what: str) -> str:
     if Path(what).suffix == ".npz" or is_run(Path(what)):
         return "policy"
     if Path(what).is_file():
-        keys = set(read_tree_with_bases(what))
+        keys = _keys_of(what)
         if "gates" in keys or keys & {"models", *MODELS}:
             return "track" if "gates" in keys else "vehicle"
         return max(SCHEMAS, key=lambda kind: len(keys & {*SCHEMAS[kind][0].model_fields}))
@@ -59,10 +68,22 @@ def kind_of(what: str) -> str:
             f"{what}: is a folder, allowed: a name that quadjax show lists, or a file: "
             f"{', '.join(FOLDERS)} or policy"
         )
+    for folder in KINDS.keys() - FOLDERS.values():
+        if what in preset_names(folder):
+            kind, path = KINDS[folder].partition(" (")[0], CONFIGS / folder / f"{what}.yaml"
+            raise InputError(f"{what}: show prints no {kind}; the file is {path}")
     names = [name for folder in FOLDERS.values() for name in preset_names(folder)]
     hint = close_match(what, names + policy_names())
     name = what or repr(what)
     raise InputError(f"{name}: no such name or file{hint}; quadjax show lists the names")
+
+
+def _keys_of(file: str) -> set[str]:
+    """The keys at the top of a file and of its bases, which may be of any kind."""
+    for folder in FOLDERS.values():
+        with contextlib.suppress(InputError):
+            return set(read_tree_with_bases(file, folder))
+    return set(read_tree_with_bases(file))
 
 
 def files_of(name: str) -> dict[str, Path]:

@@ -38,7 +38,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "sil": "fly exported C, or your own autopilot, on a simulated drone",
     "import": "convert a network of another project to a policy or residual file",
     "logs": "write flight logs of the stand-in plant or of a known model",
-    "show": "list presets, parts, tracks, vehicles, plants and policies, or print one of them",
+    "show": "list what comes with the package, or print one of it",
 }
 
 

@@ -25,7 +25,7 @@ def show(
     figure: Picture = None,
     model: Annotated[str | None, Parameter(metavar="module:OBJECT")] = None,
 ) -> None:
-    """List presets, parts, tracks, vehicles, plants and policies, or print one of them.
+    """List what comes with the package, or print one of it.
 
     Without WHAT, everything that comes with the package is listed by name.
     WHAT is a name or a file; what it contains decides what is printed:

@@ -124,7 +124,7 @@ def _with_files(
 
 def file_values(section: str, path: Path) -> Tree:
     """What a vehicle or track file sets; keys that it leaves out have their defaults."""
-    tree, rules = read_tree_with_bases(path), {}
+    tree, rules = read_tree_with_bases(path, f"{section}s"), {}
     if section == "vehicle":
         values = VEHICLE | vehicle_values(path, tree)
     else:

@@ -121,9 +121,9 @@ def read_layers(path: Path | str, kind: str = "", chain: tuple[Path, ...] = ()) 
     return [*layers, (path, tree)]
 
 
-def read_tree_with_bases(path: Path | str) -> Tree:
+def read_tree_with_bases(path: Path | str, kind: str = "") -> Tree:
     """A YAML mapping merged over its bases; see ``read_layers``."""
-    return merge_layers(read_layers(path), path)[0]
+    return merge_layers(read_layers(path, kind), path)[0]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -88,7 +88,7 @@ def read_vehicle(name: str, folder: Path = Path()) -> VehicleFile:
         InputError: a missing file, or a value that is not a finite number.
     """
     path = find_file(name, [Path(), folder], "vehicles")
-    tree = read_tree_with_bases(path)
+    tree = read_tree_with_bases(path, "vehicles")
     values = vehicle_values(path, tree) | {"mass": tree.get("mass")}
     models = {
         model: {key: finite_number(path, constants, key, f"{model}.") for key in constants}
