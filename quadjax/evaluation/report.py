@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib
 import numpy as np
@@ -26,12 +26,14 @@ FILES = (
     *("architectures.*", "toolchain.*"),  # of earlier versions
 )
 STYLES = ("-", "--", "-.", ":")
+SHADES = [0.1, 0.55, 0.75]  # of measured, marks and model in a color map
+POINTS = 4000  # samples of a signal in a figure, about
 MODELS = {"rpm": "motor", "rad/s": "rate"}  # vehicle model by the unit of the commands
 
 
 @dataclasses.dataclass(frozen=True)
 class Response:
-    """A flight's commanded signals, their limits and a model of them."""
+    """Commands of a flight, their limits, and measured and modeled values."""
 
     actual: np.ndarray  # (n, k)
     command: np.ndarray  # (n, k)
@@ -245,17 +247,19 @@ def error_figure(flight: Flight, signals: Response, gates: int, title: str = "")
     """
     figure, labels = new_figure(9.6, 0.9 + 1.25 * len(signals.names)), signals.labels
     same_unit = len(set(signals.units)) == 1
-    grid = figure.subplots(len(signals.names), 2, sharex=True, sharey="col" if same_unit else False)
-    time, colors = flight.time, matplotlib.colormaps["viridis"]([0.1, 0.55, 0.75])
+    share: Literal["col", "none"] = "col" if same_unit else "none"
+    grid = figure.subplots(len(signals.names), 2, sharex=True, sharey=share, squeeze=False)
+    every, colors = max(1, len(flight.time) // POINTS), matplotlib.colormaps["viridis"](SHADES)
+    time, errors = flight.time[::every], signals.error[::every]
     small: dict[str, Any] = {"fontsize": 8, "color": INK}
     for index, (left, right) in enumerate(grid):
         lines, widths = (signals.command, signals.model, signals.actual), (0.6, 1.3, 1.0)
         styles = zip(lines, labels, (MUTED, colors[2], colors[0]), widths, strict=True)
         for values, label, color, width in styles:
-            left.plot(time, values[:, index], color=color, lw=width, label=label)
+            left.plot(time, values[::every, index], color=color, lw=width, label=label)
         left.axhline(signals.high[index], color=INK, lw=0.9, ls=":", label="limits")
         left.axhline(signals.low[index], color=INK, lw=0.9, ls=":")
-        right.plot(time, signals.error[:, index], color=colors[0], lw=0.9)
+        right.plot(time, errors[:, index], color=colors[0], lw=0.9)
         right.axhline(0.0, color=INK, lw=0.8)
         for axes in (left, right):
             tidy(axes)
@@ -264,9 +268,9 @@ def error_figure(flight: Flight, signals: Response, gates: int, title: str = "")
             for number, passed in enumerate(flight.passages[:, 0], start=1):
                 low = 0.0 if number % gates == 0 else 0.94
                 axes.axvline(passed, ymin=low, color=MUTED, lw=0.8, zorder=0)
-        left.set_ylabel(f"{signals.names[index]}\n({signals.units[index]})", **small)
         rms, unit = signals.rms[index], signals.units[index]
-        text = f"RMS {rms:.3g} {unit}" if np.isfinite(rms) else "no measurement"
+        left.set_ylabel(signals.names[index] + (f"\n({unit})" if unit else ""), **small)
+        text = f"RMS {rms:.3g} {unit}".rstrip() if np.isfinite(rms) else f"{labels[2]}: no values"
         right.set_title(text, loc="right", pad=2, **small)
     grid[0, 1].set_title(f"{labels[2]} minus {labels[1]}", loc="left", pad=2, **small)
     for axes in grid[-1]:

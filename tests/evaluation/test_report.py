@@ -1,5 +1,6 @@
 """Tables and figures of flights from trajectories and flight logs."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -9,7 +10,7 @@ from PIL import Image
 from quadjax.config.loading import load_config
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.figures import trajectory_figure
-from quadjax.evaluation.report import Report, response
+from quadjax.evaluation.report import Report, error_figure, response
 from quadjax.evaluation.table import flights_table
 from quadjax.fitting.signals import first_order
 from quadjax.flights import save
@@ -105,6 +106,15 @@ def test_errors_are_to_the_first_order_response_of_the_commands(groups):
     assert {"errors_1", "errors_2"} <= set(names)
     ticks = [line for line in names["errors_1"].axes[1].lines if len(line.get_xdata()) == 2]
     assert len(ticks) >= 8
+
+
+def test_one_signal_without_unit_and_measurements_is_drawn(groups):
+    flight = groups["E2E simulated"][0]
+    signals, one = response(flight, RACE.vehicle), {"names": ["motor"], "units": [""]}
+    one |= {name: getattr(signals, name)[:, :1] for name in ("command", "model")}
+    one |= {"actual": np.full_like(one["model"], np.nan), "low": [0.0], "high": [1.0]}
+    left, right = error_figure(flight, dataclasses.replace(signals, **one), 4).axes
+    assert (left.get_ylabel(), right.get_title("right")) == ("motor", "measured: no values")
 
 
 @pytest.mark.slow
