@@ -258,8 +258,8 @@ def _check_place(config: Config, key: str, place: Sequence[float], ground: bool 
     if z >= 0:
         refuse(key, place, "z below 0 (above ground; 0 at a start with rules.ground_speed)")
     if limit is not None and far >= limit:
-        file = f"a track file may set rules: {{position_limit: {1.5 * far:g}}}"
-        refuse(key, place, f"x and y below rules.position_limit, {limit:g} m; {file}")
+        remedy = f"a track file may set rules: {{position_limit: {1.5 * far:g}}}"
+        refuse(key, place, f"|x| and |y| below rules.position_limit, {limit:g} m; {remedy}")
     for axis, p, (low, high) in zip("xyz", (x, y, z), config.rules.bounds or (), strict=False):
         if not low < p < high:
             refuse(key, place, f"{axis} within rules.bounds, {low:g} to {high:g} m")

@@ -4,7 +4,7 @@ Lengths are in m, velocities in m/s, angles in deg where the name says so and in
 world frame is north-east-down, the body frame front-right-down.
 """
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import PrivateAttr, SerializeAsAny
 
@@ -190,6 +190,8 @@ class Evaluate(Section):
 
 class Config(Section):
     """A training run on a race."""
+
+    IN_FILES: ClassVar = {"gates": "track=FILE", "mass": "vehicle=FILE"}
 
     name: FolderName = Field("run", description="name of the run; results are written to runs/NAME")
     seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of all random numbers of training")

@@ -10,7 +10,7 @@ from types import FrameType
 from quadjax.core.errors import INTERRUPTED
 
 STOPPING = (
-    b"\nstopping: saved after the next evaluation; nothing to save if it still compiles; "
+    b"\nstopping: saves after the next evaluation, nothing if compiling takes 5 s more; "
     b"Ctrl-C again ends without saving\n"
 )
 Handler = Callable[[int, FrameType | None], object] | int | None

@@ -57,7 +57,6 @@ NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 FOLDER_NAME = r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}"
 FolderName = Annotated[str, Field(pattern=rf"^{FOLDER_NAME}$")]
-KEYS_OF_FILES = {"gates": "track=FILE", "mass": "vehicle=FILE"}  # that are no config
 ALLOWED = {  # by the type of pydantic's error
     "bool_type": "true or false",
     "dict_type": "a mapping",
@@ -135,6 +134,7 @@ class Section(pydantic.BaseModel):
         hide_input_in_errors=True,
         str_max_length=MAX_TEXT,
     )
+    IN_FILES: typing.ClassVar[Mapping[str, str]] = {}  # keys of files, and what names such a file
 
     if not typing.TYPE_CHECKING:  # type checkers derive the parameters from the fields
 
@@ -252,8 +252,8 @@ def _bad_value(
     if error["type"] == "extra_forbidden":
         names = fields_at(schema, location[:-1])
         hint, there = close_match(str(location[-1]), list(names)), ", ".join(sorted(names))
-        if key in KEYS_OF_FILES:
-            hint = f"; a file with it is given as {KEYS_OF_FILES[key]}"
+        if key in schema.IN_FILES:
+            hint = f"; a file with this key is given as {schema.IN_FILES[key]}"
         return BadValue(key, f"unknown key {key}{hint}; allowed there: {there}")
     if error["type"] in ("value_error", "assertion_error"):
         reason = str(error["ctx"]["error"])

@@ -93,7 +93,8 @@ class TrainingProgress:
 def describe(row: Row, length: str, finished: float = 1.0) -> str:
     """A row of metrics in about 40 characters: times of ``length`` once a flight completes it.
 
-    Where not all of the flights finish, it is the score, which is no time.
+    Where not all of the flights finish, it is the score: their mean total time, s, with the time
+    limit for a flight that does not finish.
     """
     speed = f"{row['steps_per_second'] / 1e3:.0f} k/s"
     if not math.isfinite(row.get("best_lap_total", math.inf)):
@@ -104,4 +105,4 @@ def describe(row: Row, length: str, finished: float = 1.0) -> str:
     best = f"best {row['best_lap_total']:.2f}"
     if finished < 1.0:
         return f"{speed}  {100.0 * finished:.0f}% finish, score {total}, {best}"
-    return f"{speed}  {length} {total} s, {best} s"
+    return f"{speed}  {length} {total} s, {best}"

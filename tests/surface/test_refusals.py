@@ -177,7 +177,8 @@ sweep key.yaml | key.yaml
 sweep learning_rate budget.trials=0 | overrides: budget.trials 0
 fit nosuch | nosuch current folder fit configs paparazzi
 fit latin.yaml | latin.yaml
-fit gates.yaml | unknown key gates track=FILE
+fit gates.yaml | unknown key gates allowed there
+show spread | spread show prints no lists of conditions spread.yaml
 fit based.yaml | base: papparazzi current folder fit; did you mean paparazzi
 fit paparazzi logs.files=abc.csv | abc.csv column 'time' missing
 fit paparazzi logs.columns.tim=[a] | logs.columns.tim; mean time?
