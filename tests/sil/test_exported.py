@@ -132,12 +132,11 @@ def test_a_shipped_policy_flies_with_one_command(tmp_path, monkeypatch, capsys, 
     monkeypatch.chdir(tmp_path)
     assert run("sil", "indi", "--laps", 1) == 0
     printed, errors = capsys.readouterr()
-    assert len(printed.splitlines()) == 9 and re.search(r"drone: .*, [\d,]+ steps\n", printed)
+    assert len(printed.splitlines()) == 8 and re.search(r"drone: .*, [\d,]+ steps\n", printed)
     begun = [line.partition(":")[0] for line in errors.splitlines()]
     assert len(begun) == len(set(begun)) and begun[-1] == "wrote runs/sil/"
     assert "C that flies: indi.qjp, paparazzi/" in printed and "glue of Paparazzi" in printed
-    following = "Next: quadjax view runs/sil/states.npz\nThen: quadjax export indi --target "
-    assert following in printed
+    assert printed.endswith("Next: quadjax view runs/sil/states.npz\n")  # it completes no lap
     assert run("view", "runs/sil/states.npz", "--output", "page.npz") == 0
     assert len(load(tmp_path / "page.npz")) == 1
 
