@@ -147,7 +147,7 @@ class Replay:
 def _commands(flight: Flight, race: PolicyRace, policy: Policy) -> tuple[dict[str, Any], Response]:
     """Commands in the logged states: numbers as JSON takes them, and over time.
 
-    Logged ones, the policy's, and those in fixed point; NaN where there are none.
+    The logged commands, the policy's, and its fixed-point ones; NaN where one is missing.
     """
     model, logged, source = race.choices.model, None, "logged commands"
     if "command" in flight.signals:
@@ -188,9 +188,9 @@ def _commands(flight: Flight, race: PolicyRace, policy: Policy) -> tuple[dict[st
 def _fixed_point(
     policy: Policy, observations: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
-    """Commands (n, k) as the exported C computes them, where it clips no input (n,), and numbers.
+    """Commands (n, k) of the exported C, whether no input of a sample is clipped (n,), and numbers.
 
-    NaN for a policy that cannot be exported.
+    The commands are fixed-point, NaN for a policy that cannot be exported; numbers are for JSON.
     """
     record: dict[str, Any] = {"clipped_inputs": {}, "not_clipped": 1.0}
     try:

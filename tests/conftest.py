@@ -13,8 +13,9 @@ from pathlib import Path
 # test starts inherits them.
 #
 # Programs are compiled once, also for the next sessions. JAX limits no size: with a limit, one
-# entry of a process that was killed while it wrote makes JAX write no further one. JAX's keys have
-# the path of the folder: resolved, so that a worktree with a link to it uses the same programs.
+# entry of a process that was killed while it wrote makes JAX write no further one. JAX's keys
+# contain the path of the folder. It is resolved, so that worktrees that link to one folder share
+# its programs.
 CACHE = (Path(__file__).parents[1] / ".pytest_cache/jax").resolve()
 MAX_BYTES = 2**31
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))

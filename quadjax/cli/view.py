@@ -49,7 +49,7 @@ def view(
     Args:
         flights: One or more, as above.
         output: Page, or its data (.json), or the flights (.npz).
-        name: Name of the next of the FLIGHTS, in order; may be repeated.
+        name: Name of the first of FLIGHTS; repeat it for the next ones.
         title: Title of the page (default: the track's name).
         race: Race of the policies, and gates of files that contain none.
         laps: Laps of policies (default: evaluate.laps).

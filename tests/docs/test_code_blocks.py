@@ -48,7 +48,7 @@ from tests.sweeps.stand_in import nothing
 
 NO_LAPS = Laps(np.full((1, 1), np.nan), ("out of time",), np.ones(1), 1.0)
 TRAINED = ("docs/getting_started/quickstart.md",)
-VERIFIED = ("docs/guide/autopilots.md",)  # as it is; tests/surface/test_c.py, too
+VERIFIED = ("docs/guide/autopilots.md",)  # pages on which verify runs
 OPTIONS = {  # added to a command, unless it has them
     "seeds": ["--seeds", "0", "--runs", "1"],
     "evaluate": ["--runs", "1", "--laps", "1"],  # as view: of one shape, compiled once
