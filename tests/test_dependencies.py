@@ -23,8 +23,9 @@ ALLOWED = {
     "integrations": CONFIG | {"config", "policy", "training"},
     "plant": CONFIG - {"learners"} | {"config", "policy", "flights"},
     "log_states": {"core", "vehicle", "flights", "fitting"},
+    "predictions": {"core", "vehicle", "flights", "fitting", "log_states"},
     "replay": CONFIG - {"learners"}
-    | {"config", "policy", "flights", "evaluation", "fitting", "export", "log_states"},
+    | {"config", "policy", "flights", "evaluation", "export", "log_states", "predictions"},
     # What learns from logs knows nothing of the plant.
     "refit": CONFIG - {"learners"} | {"config", "flights", "fitting", "evaluation", "log_states"},
     "improve": CONFIG
