@@ -33,20 +33,22 @@ def new_figure(width: float, height: float) -> Figure:
 def save_figure(figure: Figure, *paths: Path | str, dpi: int = 150) -> None:
     """Write a figure to files; the suffix of each is its format (png, svg, pdf).
 
-    All have the layout that is computed for the first one.
+    All files have the layout computed for the first one.
 
     Raises:
         InputError: a suffix that Matplotlib does not know, or a path that cannot be written.
     """
     kinds, layout = figure.canvas.get_supported_filetypes(), figure.get_layout_engine()
-    for path in map(Path, paths):
-        kind = path.suffix.lstrip(".").lower()
-        if kind not in kinds:
-            raise InputError(f"{path}: suffix is {kind!r}, allowed: {', '.join(sorted(kinds))}")
-        with whole_file(path) as temporary:
-            figure.savefig(temporary, dpi=dpi, format=kind)
-        figure.set_layout_engine("none")
-    figure.set_layout_engine(layout)
+    try:
+        for path in map(Path, paths):
+            kind = path.suffix.lstrip(".").lower()
+            if kind not in kinds:
+                raise InputError(f"{path}: suffix is {kind!r}, allowed: {', '.join(sorted(kinds))}")
+            with whole_file(path) as temporary:
+                figure.savefig(temporary, dpi=dpi, format=kind)
+            figure.set_layout_engine("none")
+    finally:
+        figure.set_layout_engine(layout)
 
 
 def head(axes: Axes, title: str = "", columns: int = 4) -> None:

@@ -132,7 +132,10 @@ def test_groups_are_drawn_and_published_times_next_to_their_race_only(tmp_path):
     np.testing.assert_array_equal(drawn.get_ydata(), [np.nan, 17, 16])
     assert wall.lines[1].get_xdata().tolist() == [25, 50, 75]
     assert wall.lines[0].get_color() == steps.lines[0].get_color() != wall.lines[1].get_color()
-    save_figure(figure, tmp_path / "curves.png")
+    layout, files = figure.get_layout_engine(), [tmp_path / f"curves.{x}" for x in ("png", "no")]
+    with pytest.raises(InputError, match="curves.no: suffix is 'no', allowed"):
+        save_figure(figure, *files)
+    assert files[0].exists() and figure.get_layout_engine() is layout
 
 
 def test_runs_that_never_finish_or_cannot_be_compared(tmp_path):
