@@ -35,7 +35,7 @@ class RunState:
 
         Args:
             progress: the run after the chunk.
-            score: of its parameters; lower is better, infinite where a flight does not finish.
+            score: of its parameters; lower is better, infinite where no flight finishes.
             seconds: of training.
         """
         best, best_score, best_steps = self.best, self.best_score, self.best_steps
