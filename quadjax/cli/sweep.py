@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from quadjax.cli import options as opt
-from quadjax.core.errors import INTERRUPTED
+from quadjax.cli.files import writable_folder
+from quadjax.core.errors import INTERRUPTED, prefixed
 from quadjax.core.folders import check_kind, claim, remove_files
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
@@ -28,7 +29,7 @@ def sweep(
     check: opt.Flag = False,
     report: opt.Flag = False,
     overwrite: opt.Flag = False,
-    output: opt.RunsFolder = Path("runs"),
+    output: Annotated[opt.Folder, Parameter(help="Write to DIR/NAME.")] = Path("runs"),
 ) -> int:
     """Search a space of training configs.
 
@@ -44,6 +45,9 @@ def sweep(
         report: Only report the finished trials.
         overwrite: Remove the trials first.
     """
+    if not check:
+        with prefixed("--output"):
+            writable_folder(str(output))
     with loading():
         from quadjax.sweeps.report import write_report
         from quadjax.sweeps.study import State, load_study, progress, trials_over

@@ -110,6 +110,7 @@ def test_a_folder_without_permission_is_refused_at_once(tmp_path, capsys, monkey
     for command in WRITERS:
         error = refusal(capsys, *command.split(), "--output", "new/one")
         assert "--output: new/one: no permission in ., allowed: a folder" in error
+    assert run("sweep", "learning_rate", "--check") == 0  # writes nothing
     figures = ("evaluate", "e2e", "--policy", "e2e", "--figures", "new")
     assert "--figures: new: no permission in ." in refusal(capsys, *figures)
 
