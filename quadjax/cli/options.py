@@ -143,7 +143,8 @@ def path(allowed: str, convert: Callable[[str], Path] = Path, **named: Any) -> P
 
 def _existing_file(text: str) -> Path:
     if not Path(text).is_file():
-        raise ValueError(f"{text}: no such file")
+        fault = "is a folder" if Path(text).is_dir() else "no such file"
+        raise ValueError(f"{text}: {fault}, allowed: a file")
     return Path(text)
 
 

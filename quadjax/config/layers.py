@@ -97,7 +97,8 @@ def _with_files(
         for key, value in tree["schedules"].items():
             hint = close_match(key.rpartition(".")[2], SCHEDULE_KEYS)
             if hint and value is not None and not isinstance(value, dict):
-                raise InputError(f"{source}: unknown key schedules.{key}{hint}")
+                allowed = ", ".join(SCHEDULE_KEYS)
+                raise InputError(f"{source}: unknown key schedules.{key}{hint}; allowed: {allowed}")
     layers: list[Layer] = []
     for section in DEFAULTS:
         named = tree.get(section)

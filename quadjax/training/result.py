@@ -92,7 +92,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
     try:
         summary = read_json(path)
     except InputError as error:
-        remedy = "; remove it and resume the run" if path.exists() else ""
+        remedy = "; if it is damaged, remove it and resume the run" if path.exists() else ""
         raise InputError(f"{error}{remedy}") from None
     score = next((name for name in SCORE_NAMES.values() if f"best_{name}" in summary), "score")
     kinds = SUMMARY | {f"{which}_{score}": OPTIONAL_NUMBER for which in ("best", "last")}
