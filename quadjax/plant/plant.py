@@ -101,9 +101,10 @@ def filled(config: PlantConfig) -> PlantConfig:
     """
     vehicle, bebop = nominal_vehicle(config), read_vehicle(str(BEBOP))
     mass = config.mass or vehicle.mass
-    if mass is None or bebop.mass is None:
+    if mass is None:
         raise InputError(f"{vehicle.path}: mass is missing; the plant needs it, in kg")
-    thrust = mass * vehicle.motor.k_w / (bebop.mass * bebop.motor.k_w)  # N/rpm^2, relative
+    assert bebop.mass is not None
+    thrust = mass * vehicle.motor.k_w / (bebop.mass * bebop.motor.k_w)  # relative to the Bebop's
     radius = config.rotors.radius or BEBOP_RADIUS * thrust**0.25
     return config.replace(mass=mass, rotors=config.rotors.replace(radius=radius))
 
