@@ -35,7 +35,8 @@ def test_the_network_is_that_of_the_file_which_has_a_critic(tmp_path, capsys):
     policy.save(file)
     found = initial_policy(fine_tuning(small, file))
     np.testing.assert_array_equal(found.layers[0][0], Policy.load(file).layers[0][0])
-    with pytest.raises(InputError, match=r"small.* has hidden widths \[8\], the config has \[6"):
+    has = r"has hidden widths \[8\], the config has \[6, 6\]$"
+    with pytest.raises(InputError, match=rf"small.npz \(--fine-tune or run.initial_policy\) {has}"):
         initial_policy(fine_tuning(make_config("network.hidden=[6, 6]"), file))
     dataclasses.replace(policy, value=None).save(bare)
     for name, more, says in (
