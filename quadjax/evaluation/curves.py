@@ -146,7 +146,7 @@ def learning_figure(groups: Mapping[str, Sequence[Path]], code: Collection[str] 
         published += [published_total(config) for config in configs]
     check_lengths(lengths)
     references = dict.fromkeys(published) if all(published) else ()
-    laps = {"lap_total": f"{next(iter(lengths.values()), '')} (s)"}
+    laps = {"lap_total": f"score: {next(iter(lengths.values()), '')} (s)"}
     upwards = {score: (UPWARDS | laps)[score]}
     title = "median over seeds; shaded from the fastest to the slowest"
     return training_figure(metrics, title, *references, upwards=upwards)
