@@ -64,16 +64,19 @@ def mean(flown: Plant) -> float:
     return float(np.mean(done)) if done else float("nan")
 
 
-def plants_of(word: str) -> tuple[str, Sequence[Plant]]:
-    """The label and the plants of a word LABEL=FILE.json."""
-    label, equals, file = word.partition("=")
+def plants_of(argument: str) -> tuple[str, Sequence[Plant]]:
+    """The label and the plants of an argument LABEL=FILE.json."""
+    label, equals, file = argument.partition("=")
     if not (label and equals):
-        raise InputError(f"{word}: expected LABEL=FILE.json")
+        raise InputError(f"{argument}: expected LABEL=FILE.json")
     try:
         plants = json.loads(Path(file).read_text(encoding="utf-8"))
-        return label, plants if [_curve(plant) for plant in plants] else {}[file]
+        curves = [_curve(plant) for plant in plants]
     except (KeyError, TypeError, ValueError):
-        raise InputError(f"{file}: not a file of benchmarks.improve_plants --json") from None
+        curves = []
+    if not curves:
+        raise InputError(f"{file}: not a file of benchmarks.improve_plants --json")
+    return label, plants
 
 
 def improve_figure(

@@ -10,7 +10,6 @@ no finisher before or after does not count in the means, which say how many plan
 """
 
 from collections.abc import Mapping, Sequence
-from json import dumps
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +18,7 @@ from cyclopts import Parameter
 
 from quadjax.cli import options, script
 from quadjax.core.errors import InputError
-from quadjax.core.files import read_json, write_text
+from quadjax.core.files import read_json, write_json
 from quadjax.core.folders import kind_of
 from quadjax.core.markdown import table
 from quadjax.improve import KIND
@@ -81,7 +80,7 @@ def improve_plants(
     plants = [read(folder) for folder in folders]
     print(plants_table(plants))
     if json:
-        write_text(json, dumps(plants, indent=1))
+        write_json(json, plants)
 
 
 if __name__ == "__main__":

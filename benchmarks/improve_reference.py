@@ -89,7 +89,7 @@ def improve_reference(
     steps: Annotated[int, options.whole(1, 10**12)] = 3_000_000,
     margin: Annotated[float, options.number(0.0, 10.0)] = 0.0,
 ) -> None:
-    """Fine-tune POLICY for ``steps`` of all rounds, with the last round's ``margin``, m."""
+    """Fine-tune POLICY with the steps of all rounds together and the last round's margin (m)."""
     race, standin = load_config(config), plants.load_plant_config("standin")
     drone = standin.replace(constants=standin.constants.replace(seed=plant_seed))
     setting = Setting(race, policy, load_fit_config("improve"), drone, steps=steps)

@@ -27,7 +27,7 @@ HEAD = ["policy", "build", "inference", "step", "stack", "loading", "flash"]
 
 def rows_of(path: Path, policy: FixedPolicy) -> list[list[str]]:
     """Rows of the table for a policy and its file."""
-    words, found = path.read_bytes(), []
+    words, rows = path.read_bytes(), []
     sizes = [len(layer.bias) for layer in policy.network.layers]
     wide = "-".join(str(x) for x in (policy.network.inputs, *sizes))
     row = np.full(policy.network.inputs, 0.3, np.float32)
@@ -47,8 +47,8 @@ def rows_of(path: Path, policy: FixedPolicy) -> list[list[str]]:
                 step, more = board.count("step", vehicle)
                 numbers = (inference, step, max(stack, more), board.loading()[0], board.read_only)
             label = f"{processor}, {build.label}"
-            found.append([wide, label, *(f"{number:,}" for number in numbers)])
-    return found
+            rows.append([wide, label, *(f"{number:,}" for number in numbers)])
+    return rows
 
 
 def instructions(*files: options.ExistingFiles) -> None:

@@ -5,8 +5,7 @@
 Bits, words, lengths and numbers of the header change, most with a right checksum. Where the loader
 accepts a file, or only its self-tests refuse it, the pilot flies 20 steps with any numbers, within
 the limits of its commands. A part of the answers is compared with the reader in Python. The exit
-status is 1 if a sanitizer reports something, a command is not within its limits, or a comparison
-differs.
+status is 1 after a report of a sanitizer, a command outside its limits, or a difference.
 """
 
 import struct
@@ -97,7 +96,8 @@ def mutate(
     seed: options.Seed = 0,
 ) -> int:
     """Print the rate and what went wrong."""
-    _ = [read_qjp(file) for file in files]
+    for file in files:
+        read_qjp(file)  # reject bad files first
     with tempfile.TemporaryDirectory() as folder:
         program, started = build(Path(folder)), time.perf_counter()
         wrong = fuzz(files, count, compare, seed, program)

@@ -48,7 +48,7 @@ def page(
     seconds: options.Positive = 8.0,
     page: options.ExistingFile | None = None,
 ) -> None:
-    """Print a line for each number of flights (1, 3 and 20), or for a page, and each size.
+    """Measure pages of some numbers of flights (default: 1, 3 and 20), or one page, at each size.
 
     Args:
         seconds: Duration of each measurement.
@@ -67,8 +67,8 @@ def page(
                 write_page(file, scene(*flights))
             measure(browser, file.resolve(), 1.0, SIZES[0])  # the first pages are slower
             for size in SIZES:
-                found = measure(browser, file.resolve(), seconds, size)
-                print(f"{count or file.name} flights, {size[0]}x{size[1]}: {found}", flush=True)
+                figures = measure(browser, file.resolve(), seconds, size)
+                print(f"{count or file.name} flights, {size[0]}x{size[1]}: {figures}", flush=True)
         browser.close()
 
 
@@ -80,14 +80,14 @@ def measure(browser, path: Path, seconds: float, size: tuple[int, int]) -> str:
     load = tab.evaluate("() => performance.getEntriesByName('first-frame')[0]?.startTime ?? NaN")
     tab.wait_for_timeout(2000)
     before = _seconds()
-    found = tab.evaluate(MEASURE, 1000 * seconds)
-    used = 1000 * (_seconds() - before) / (found["rate"] * seconds)
+    figures = tab.evaluate(MEASURE, 1000 * seconds)
+    used = 1000 * (_seconds() - before) / (figures["rate"] * seconds)
     tab.close()
     return (
-        f"{found['rate']:.1f} frames/s, 95% below {found['late']:.0f} ms, "
-        f"CPU {used:.0f} ms a frame, of it the page's own drawing {found['drawing']:.1f} ms, "
-        f"{found['calls']} draw calls, "
-        f"{found['triangles']} triangles, pixel ratio {found['ratio']:.2f}, "
+        f"{figures['rate']:.1f} frames/s, 95% below {figures['late']:.0f} ms, "
+        f"CPU {used:.0f} ms a frame, of it the page's own drawing {figures['drawing']:.1f} ms, "
+        f"{figures['calls']} draw calls, "
+        f"{figures['triangles']} triangles, pixel ratio {figures['ratio']:.2f}, "
         f"first frame after {load:.0f} ms, {path.stat().st_size / 2**20:.2f} MiB"
     )
 

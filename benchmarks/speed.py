@@ -94,16 +94,16 @@ def measure(kind: str, name: str, number: str, repeats: int) -> str:
     return f"{job} {speeds} s/s at {1.0 / time_step:.0f} Hz"
 
 
-def speed(repeats: options.Count = 3, /, *words: str) -> None:
-    """Measure all, or KIND:NAME:ENVIRONMENTS .., and print a line for each."""
-    for word in words:
-        if not FORM.fullmatch(word):
-            raise InputError(f"{word}: allowed: {{environment|observed|training}}:NAME:NUMBER")
-        find_config(word.split(":")[1], "vehicles" if word.startswith("observed") else "")
+def speed(repeats: options.Count = 3, /, *jobs: str) -> None:
+    """Measure all jobs, or KIND:NAME:ENVIRONMENTS .. (training: 0 for the preset's number)."""
+    for job in jobs:
+        if not FORM.fullmatch(job):
+            raise InputError(f"{job}: allowed: (environment|observed|training):NAME:ENVIRONMENTS")
+        find_config(job.split(":")[1], "vehicles" if job.startswith("observed") else "")
     print(f"{os.cpu_count()} cores")
-    for word in words or JOBS:
+    for job in jobs or JOBS:
         with multiprocessing.get_context("spawn").Pool(1) as pool:
-            print(pool.apply(measure, (*word.split(":"), repeats)), flush=True)
+            print(pool.apply(measure, (*job.split(":"), repeats)), flush=True)
 
 
 if __name__ == "__main__":
