@@ -18,7 +18,8 @@ KINDS = {  # what the folders of configs/ hold
     "": "presets",
     "parts": "parts of presets (+NAME; a prefix e2e_ or indi_ limits a part to that preset and is "
     "left out of NAME)",
-    **{folder: folder for folder in ("tracks", "vehicles")},
+    "tracks": "tracks",
+    "vehicles": "vehicles",
     "plant": "plants",
     "fit": "fit configs",
     "conditions": "lists of conditions",

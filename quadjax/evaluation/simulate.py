@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 from quadjax.config.assembly import race_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
+from quadjax.core.sharing import cached
 from quadjax.core.vectors import Vec3
 from quadjax.evaluation.conditions import Condition, Conditions, damaged
 from quadjax.evaluation.published import LAPS, published_row
@@ -120,7 +122,7 @@ def _starts(
 
         return jax.vmap(hover_on, out_axes=-1)(tracks)
     if start == "before_gate":
-        return starts_before_gate(choices, params, jax.random.split(key, runs))
+        return starts_before_gate(choices)(params, jax.random.split(key, runs))
     if start == "random":  # a compiled program rounds random starts differently
         return race.starting_states(choices, params, key, runs, from_hover=False)
     return hover_starts(choices, params, key, runs, True, start == "around")
@@ -167,7 +169,7 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
     return with_memory(choices, params, fresh)
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def starts_before_gate(choices: Choices, params: RaceParams, keys: jax.Array) -> RaceState:
+@cached
+def starts_before_gate(choices: Choices) -> Callable[[RaceParams, jax.Array], RaceState]:
     """``start_before_gate`` for each key (n,), batched along the last axis."""
-    return jax.vmap(functools.partial(start_before_gate, choices), (None, 0), -1)(params, keys)
+    return jax.jit(jax.vmap(functools.partial(start_before_gate, choices), (None, 0), -1))
