@@ -59,11 +59,10 @@ def training_loop(config) -> tuple:
     """Some updates of a preset's training, and the environment steps in them."""
     import jax
 
-    from quadjax.config.assembly import make_params
     from quadjax.learners import parallel
-    from quadjax.training.build import make_learner, start_state
+    from quadjax.training.build import make_learner, start_state, training_params
 
-    (learner, _), params = make_learner(config), make_params(config)
+    (learner, _), params = make_learner(config), training_params(config)
     first = start_state(config, learner, params)
     mesh = parallel.choose_mesh(config.run.devices, first)
     state = [parallel.place(first, mesh)]

@@ -9,7 +9,6 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.config.assembly import make_params
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import preset_names
@@ -24,6 +23,7 @@ from quadjax.training.build import (
     make_learner,
     policy_of,
     start_state,
+    training_params,
     untrained_policy,
 )
 from tests.surface.short import short_config
@@ -88,7 +88,7 @@ def test_the_critic_of_a_file_is_scaled_to_the_unit_of_the_reward(tmp_path):
     path = tmp_path / "first.npz"
     untrained_policy(config_of("e2e_ppo")).save(path)
     config = config_of("e2e", f"run.initial_policy={path}", "learner.reward_scale=0.25")
-    (learner, _), params = make_learner(config), make_params(config)
+    (learner, _), params = make_learner(config), training_params(config)
     state = start_state(config, learner, params, initial_policy(config))
     file = Policy.load(path)
     scales = [1.0] * (len(file.value) - 1) + [0.25]
@@ -186,7 +186,7 @@ STANDIN = {"e2e_table1": ["vehicle.residual=standin_residual.npz"]}  # the publi
 def test_every_shipped_config_has_a_program(name):
     """Two updates at the sizes of the preset are traced; nothing is compiled."""
     config = load_config(name, STANDIN.get(name, []))
-    (learner, _), params = make_learner(config), make_params(config)
+    (learner, _), params = make_learner(config), training_params(config)
     state = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
     jax.eval_shape(training.parallel.repeat(learner.update, 2), learner.hyper, params, state)
 

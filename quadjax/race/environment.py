@@ -9,7 +9,6 @@ every use (``quadjax.core.materialize``).
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -37,7 +36,8 @@ def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array
     params = params.on_track(state.track)
     once = materializing(params.opaque_true, gradients=True)
     step = Step(choices.model, params, state, once(gate, params.track, state.target))
-    return jnp.stack(once(bound(_numbers, choices), step))
+    numbers = jnp.stack(once(bound(_numbers, choices), step))
+    return numbers if params.observation_scale is None else numbers * params.observation_scale
 
 
 # ``choices`` is an argument of what is materialized, so that no trace with code of a user is kept.
@@ -132,7 +132,8 @@ def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
     """The race without training limits: no gate inflation, any roll, yaw rate and valid pitch.
 
     It is on ``params.track``, also where the episodes of training are on random tracks. Clocks
-    start at zero. The length of an episode stays.
+    start at zero. The length of an episode stays. The observation is not scaled: the
+    first layer of a policy has the factors.
     """
     pitch = math.degrees(model.pitch_limit)
     limits = {
@@ -145,6 +146,7 @@ def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
         training_limits=with_leaves(params.training_limits, **limits),
         start=with_leaves(params.start, stagger_clocks=False),
         tracks=None,
+        observation_scale=None,
     )
 
 
@@ -171,8 +173,9 @@ def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
     )
 
 
+@cached
 def with_critic_constants(
-    environment: Environment[RaceParams, RaceState], spread: Sequence[tuple[str, float]]
+    environment: Environment[RaceParams, RaceState], spread: tuple[tuple[str, float], ...]
 ) -> Environment[RaceParams, RaceState]:
     """The environment whose observation ends with the drawn constants, for the critic alone.
 

@@ -75,6 +75,7 @@ class RaceParams(struct.PyTreeNode):
     # Scale of the observed disturbances where it is not the drawn range: a policy keeps the scale
     # that it was trained with.
     disturbance_scale: Disturbance | None = None
+    observation_scale: jax.Array | None = None  # (layout.size,), in training; None: not scaled
 
     @property
     def observed_disturbance(self) -> Disturbance:

@@ -14,14 +14,13 @@ from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.mlp import Layer
-from quadjax.core.sharing import cached
 from quadjax.learners.loop import Plan
 from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.state import ActorCritic, Learner, Networks, TrainState
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
 from quadjax.race.environment import make_environment, with_critic_constants
-from quadjax.race.types import Choices, RaceParams, RaceState
+from quadjax.race.types import RaceParams, RaceState
 from quadjax.training.inputs import read_starts
 from quadjax.vehicle.registry import base_model
 from quadjax.vehicle.residual import is_shipped, read_residual
@@ -31,24 +30,8 @@ REFERENCE_LEG, REFERENCE_TIME = 3.5, 0.43  # m and s, of the paper's track and t
 
 
 def training_environment(config: Config) -> Environment[RaceParams, RaceState]:
-    """The race of training.
-
-    The observation has the factors of ``input_scale``. Where the critic observes the drawn
-    constants, they come last.
-    """
-    return _environment(make_choices(config), input_scale(config), privileged_constants(config))
-
-
-@cached  # trainings that differ only in numbers share traces
-def _environment(
-    choices: Choices, scale: tuple[float, ...], constants: tuple[tuple[str, float], ...]
-) -> Environment[RaceParams, RaceState]:
-    environment = make_environment(choices)
-    observe = environment.observe
-    if scale:
-        environment = dataclasses.replace(
-            environment, observe=lambda params, state: observe(params, state) * jnp.array(scale)
-        )
+    """The race of training. Where the critic observes the drawn constants, they come last."""
+    environment, constants = make_environment(make_choices(config)), privileged_constants(config)
     return with_critic_constants(environment, constants) if constants else environment
 
 
@@ -104,24 +87,27 @@ def make_learner(config: Config) -> tuple[Learner[RaceParams], Plan]:
     environment, networks = training_environment(config), make_networks(config)
     steps, every, schedules = config.run.steps, config.run.evaluate_every, config.schedules
     learner, plan = config.learner.planned(environment, networks, steps, every)
+    scale = training_params(config).observation_scale  # not scheduled: the policy file has one
 
     def numbers_at(key: str, value: float | None) -> tuple[Any, RaceParams]:
         changed = config if value is None else config.at(key, value)
         hyper = changed.learner.make(environment, networks, plan.updates).hyper
-        return hyper, training_params(changed)
+        return hyper, training_params(changed).replace(observation_scale=scale)
 
     return schedule_learner(learner, schedules, numbers_at, plan, steps, config.curriculum), plan
 
 
 def training_params(config: Config) -> RaceParams:
-    """Every number of the race in training, with the states of ``run.start_states``.
+    """Every number of the race in training.
+
+    They include the factors of ``input_scale`` and the states of ``run.start_states``.
 
     Raises:
         InputError: a file that cannot be read, or that is of another vehicle or track.
     """
-    params = make_params(config)
-    recorded = read_starts(config, params)
-    return params if recorded is None else params.replace(recorded=recorded)
+    params, scale = make_params(config), input_scale(config)
+    factors = jnp.asarray(scale, jnp.float32) if scale else None
+    return params.replace(observation_scale=factors, recorded=read_starts(config, params))
 
 
 def start_state(

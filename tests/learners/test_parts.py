@@ -18,7 +18,8 @@ from quadjax.learners.ppo import PPO, Batch, loss
 from quadjax.learners.rollout import Steps, clip, run_epochs, td_lambda
 from quadjax.learners.shac import SHAC, total_return
 from quadjax.learners.state import ActorCritic
-from quadjax.training.build import _environment, training_environment
+from quadjax.race.environment import make_environment, with_critic_constants
+from quadjax.training.build import training_environment
 
 TIME, COUNT = 30, 7
 
@@ -157,7 +158,8 @@ def test_a_run_has_the_steps_that_are_asked_for():
 
 def test_updates_are_shared_unless_they_have_code_of_the_user():
     environment, other = (
-        training_environment(load_config("e2e", [x])) for x in ("seed=1", "seed=2")
+        training_environment(load_config("e2e_race_robust", [x]))
+        for x in ("seed=1", "track=figure8")
     )
     assert environment is other
     assert parallel.repeat(environment.step, 2) is parallel.repeat(environment.step, 2)
@@ -166,4 +168,7 @@ def test_updates_are_shared_unless_they_have_code_of_the_user():
     assert parallel.repeat(update, 2) is not parallel.repeat(update, 2)
     terms = make_choices(load_config("e2e"))
     terms = dataclasses.replace(terms, user_terms=(("mine", update),))
-    assert _environment(terms, (), ()) is not _environment(terms, (), ())
+    own = make_environment(terms)
+    assert own is not make_environment(terms)
+    constants = (("g", 1.0),)
+    assert with_critic_constants(own, constants) is not with_critic_constants(own, constants)

@@ -182,6 +182,7 @@ def test_timed_laps_have_the_exact_rules(race):
     limits = (race[1].training_limits, narrow.training_limits, exact)
     np.testing.assert_allclose([each.pitch_deg for each in limits], [85, 60, 89])
     assert make_race("vehicle=5inch")[1].training_limits.pitch_deg is None  # any attitude
+    assert exact_rules(MODEL, narrow.replace(observation_scale=1.0)).observation_scale is None
 
 
 def test_a_course_ends_with_its_last_gate(course):

@@ -14,6 +14,7 @@ from quadjax.training.build import (
     policy_of,
     privileged_constants,
     training_environment,
+    training_params,
     with_policy,
 )
 from tests.race.support import make_config
@@ -73,7 +74,7 @@ def test_scheduled_draws_are_observed_only_where_there_is_a_width():
 @pytest.mark.parametrize("algorithm", ["ppo", pytest.param("shac", marks=pytest.mark.slow)])
 def test_both_learners_have_a_program_with_it(algorithm):
     config = make_config(*OWN, SMALL, f"learner.algorithm={algorithm}")
-    (learner, _), params = make_learner(config), race_of(config)[1]
+    (learner, _), params = make_learner(config), training_params(config)
     state = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
     after, _ = jax.eval_shape(learner.update, learner.hyper, params, state)
     assert jax.tree.structure(after) == jax.tree.structure(state)

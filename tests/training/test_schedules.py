@@ -6,7 +6,7 @@ import pytest
 
 from quadjax.config.assembly import make_choices, make_params
 from quadjax.config.loading import load_config
-from quadjax.training.build import make_learner
+from quadjax.training.build import input_scale, make_learner, training_params
 
 TINY = [
     "learner.num_envs=16",
@@ -26,7 +26,7 @@ def at(config, *updates):
     """Hyperparameters and race after each number of updates, of 64 steps each."""
     learner, _ = make_learner(config)
     assert learner.steps_per_update == 64
-    program = jax.jit(lambda update: learner.hyper.at(update, None, make_params(config)))
+    program = jax.jit(lambda update: learner.hyper.at(update, None, training_params(config)))
     return [jax.device_get(program(np.int32(update))) for update in updates]
 
 
@@ -69,6 +69,15 @@ def test_a_number_that_is_absent_at_zero_can_be_scheduled():
         found = at(tiny("e2e", f"schedules.{key}={{linear: [0, 0.2]}}"), 0, 5, 10)
         values = [getattr(getattr(params, section), name) for _, params in found]
         np.testing.assert_allclose(values, [0.0, 0.1, 0.2], atol=1e-6)
+
+
+def test_a_schedule_does_not_change_the_factors_of_the_observation():
+    """They are in the first layer of the policy file."""
+    schedule = "schedules.vehicle.constants.g={linear: [value, 5.0]}"
+    config = tiny("e2e", "network.normalize=true", schedule)
+    for _, params in at(config, 0, 10):
+        np.testing.assert_allclose(params.observation_scale, input_scale(config), rtol=1e-6)
+    assert float(params.vehicle.constants.g) == pytest.approx(5.0)
 
 
 def test_constants_and_randomization_can_be_scheduled():
