@@ -39,7 +39,8 @@ class Start(Section):
         le=1,
         description="farthest start on the way from the gate before to the target gate, as a "
         "fraction of it; the way is a cubic curve that leaves and enters the gates along their "
-        "yaw; starts are uniform up to there",
+        "yaw; starts are uniform up to there; those that position puts past the gate are mirrored "
+        "in its plane",
     )
     # In a config, None is the default of the description; as a leaf it is 0: no such start.
     race: Annotated[float | None, UnusedAtZero()] = Field(

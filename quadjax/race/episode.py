@@ -12,7 +12,15 @@ from quadjax.core.frames import wrap_angle
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.layout import LAST_ACTION, begin_past, split_name
-from quadjax.race.track import Track, gate, gate_count, pick
+from quadjax.race.track import (
+    Gate,
+    Track,
+    gate,
+    gate_count,
+    pick,
+    through_opening,
+    to_opening_frame,
+)
 from quadjax.race.types import Choices, Estimate, RaceParams, RaceState
 from quadjax.vehicle import estimator
 from quadjax.vehicle.battery import BatteryState, battery_at_start, draw_battery
@@ -155,12 +163,26 @@ def _motion(params: RaceParams, target: jax.Array, fraction: jax.Array, draws: D
     euler = Vec3.of(draws["euler"]) * _vector(roll_pitch, roll_pitch, yaw)
     if params.heading is not None:
         euler = euler.replace(z=wrap_angle(euler.z + pick(params.heading, target)))
+    way = _way(params.track, target, fraction)
+    position = way + Vec3.of(draws["position"]) * ranges.position
+    if ranges.along_leg is not None:
+        position = _before_gate(gate(params.track, target), way, position)
     return Motion(
-        _way(params.track, target, fraction) + Vec3.of(draws["position"]) * ranges.position,
+        position,
         Vec3.of(draws["velocity"]) * ranges.velocity,
         euler,
         Vec3.of(draws["rates"]) * ranges.body_rates,
     )
+
+
+def _before_gate(g: Gate, way: Vec3, position: Vec3) -> Vec3:
+    """The position, mirrored in the plane of the target gate if its offset from the way crosses it.
+
+    Both are in m, world.
+    """
+    of_way, of_start = (to_opening_frame(g, x - g.position).x for x in (way, position))
+    depth = jnp.where((of_way < 0.0) & (of_start > 0.0), of_start, 0.0)
+    return position - through_opening(g) * (2.0 * depth)
 
 
 def _way(track: Track, target: jax.Array, fraction: jax.Array) -> Vec3:

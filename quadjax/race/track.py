@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from quadjax.core.frames import Attitude, world_to_body, wrap_angle
+from quadjax.core.frames import Attitude, body_to_world, world_to_body, wrap_angle
 from quadjax.core.sections import ORDERED, Field, Section
 from quadjax.core.trigonometry import sincos
 from quadjax.core.vectors import Vec3
@@ -278,3 +278,11 @@ def to_opening_frame(g: Gate, vector: Vec3) -> Vec3:
     The gate's frame, turned by the gate's pitch and roll.
     """
     return to_gate_frame(g, vector) if g.attitude is None else world_to_body(g.attitude, vector)
+
+
+def through_opening(g: Gate) -> Vec3:
+    """The direction of passage, a unit vector in the world frame: x of the opening's frame."""
+    zero = jnp.zeros_like(g.cos_yaw)
+    if g.attitude is None:
+        return Vec3(g.cos_yaw, g.sin_yaw, zero)
+    return body_to_world(g.attitude, Vec3(zero + 1.0, zero, zero))

@@ -5,11 +5,14 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from quadjax.config.assembly import make_choices
 from quadjax.core.errors import InputError
+from quadjax.core.traced import with_leaves
 from quadjax.flights import Flight, Signal, save
 from quadjax.flights.flight import MOTION
+from quadjax.race.episode import draw_start
 from quadjax.race.track import inside_turn
 from quadjax.training.build import training_params
 from quadjax.training.inputs import states_of
@@ -182,6 +185,26 @@ def test_starts_along_the_way_to_the_next_gate_at_any_time():
     spans(state.step[:, None], [0.0], [1200.0])
     for other in (state.target, rows[:, 8]):
         assert abs(np.corrcoef(state.step, other)[0, 1]) < 0.08
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.3, 0.5)])
+def test_a_start_that_is_put_past_its_gate_is_mirrored(tilt):
+    yaw = np.pi / 4 + np.pi / 2 * np.arange(4)
+    track = track_of(ref.GATES, yaw, tilt=tilt)
+    choices, params = make_race("start.along_leg=1", "start.gate=random", "start.position=0.5")
+    state, rows = drawn(choices, params.replace(track=track))
+    target, found = state.target, rows[:, ref.P]
+    still = params.replace(track=track, start=with_leaves(params.start, position=np.float32(0)))
+    way = drawn(choices, still)[1][:, ref.P]
+    angles = [(heading, *tilt[::-1]) for heading in yaw]
+    through = Rotation.from_euler("ZYX", angles).apply([1.0, 0.0, 0.0])[state.target]
+    keys = jax.random.split(jax.random.key(0), COUNT)
+    moved = way + 0.5 * jax.vmap(lambda key: draw_start(choices.model, key)["position"])(keys)
+    depth = np.sum((moved - ref.GATES[target]) * through, 1)
+    past = (depth > 0) & (np.sum((way - ref.GATES[target]) * through, 1) < 0)
+    assert past.sum() > 50
+    mirrored = moved - np.where(past, 2 * depth, 0)[:, None] * through
+    np.testing.assert_allclose(found, mirrored, atol=1e-4)
 
 
 def recorded(count: int = 5, **wrong) -> Flight:
