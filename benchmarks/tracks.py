@@ -1,10 +1,13 @@
-"""Train on every track with every drone and compare the laps with the best known ones.
+"""Lap times and crashes of trained policies, compared with the best known laps.
 
-``python -m benchmarks.tracks e2e_race --output DIR`` trains, or flies --policy. The table has the
-median of the laps after the first, mean action from hover, and the flights from random starts that
-finish. The same command resumes. docs/design/tracks.md has results.
+``python -m benchmarks.tracks RUN ...`` flies the policies of runs with the mean action. It prints a
+line for each track and drone, and one for all tracks of a drone: the median and the range of laps 2
+to 6 from hover, and the crashes of 1,000 flights of 12 s from 1 m before a gate.
 """
 
+import functools
+import math
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -14,15 +17,12 @@ from pydantic import Field as Bounded
 
 import quadjax
 from quadjax.cli import script
-from quadjax.cli.options import LIST, ConfigName, Folder, Overrides, PolicyFile, Runs
 from quadjax.core.errors import InputError
 from quadjax.core.markdown import table
-from quadjax.core.plotting import save_figure
 from quadjax.core.sections import Field, Section, load_section
-from quadjax.evaluation.training import train_once
 
-Names = Annotated[tuple[str, ...], LIST, Parameter(metavar="NAME ...")]
-TITLES = ("track", "drone", "lap", "best known", "gap", "finished", "top speed")
+RUNS = 1000
+TITLES = ("model", "track", "drone", "runs", "lap, s", "gap, %", "crashed, %")
 
 
 class BestLap(Section):
@@ -49,53 +49,60 @@ def read_best(path: Path | str) -> dict[tuple[str, str], BestLap]:
     return found
 
 
-def words_of(track: str, vehicle: str) -> list[str]:
-    """The overrides of a track, a name, a file or ``random_SEED``, and of a drone."""
-    seed = track.removeprefix("random_")
-    random = track.startswith("random_") and seed.isdigit()
-    return [f"track.generate.seed={seed}" if random else f"track={track}", f"vehicle={vehicle}"]
+@functools.cache
+def drone_of(vehicle: str) -> tuple[str, str]:
+    """The model and the name of a vehicle file, as ``e2e_race`` loads it."""
+    section = quadjax.load("e2e_race", [f"vehicle={vehicle}"]).vehicle
+    return section.model, section.name
 
 
-def row_of(file: Path, config, names: tuple[str, str], best, runs: int, picture: Path) -> list[str]:
-    """A line of the table; the lap is drawn to a file."""
-    hover = quadjax.evaluate(file, config, runs=1, deterministic=True)
-    starts = {"runs": runs, "deterministic": True, "start": "random", "seed": 1}
-    finished = quadjax.evaluate(file, config, **starts).finished
-    save_figure(hover.plot(), picture)
-    times, lap, gap = hover.laps.whole_laps[0, 1:], None, "-"
-    if np.isfinite(times).any():
-        lap = float(np.median(times[np.isfinite(times)]))
-    shown = f"{lap:.3f} s" if lap is not None else hover.laps.crashes[0] or "-"
-    if best is not None and lap is not None:
-        gap = f"{100 * (lap / best.seconds - 1):.1f}%"
-    known = "-" if best is None else f"{best.seconds:.3f} s ({best.source})"
-    speed = f"{hover.best.speed.max():.1f} m/s"
-    return [*names, shown, known, gap, f"{finished} of {runs}", speed]
+def measure(run: quadjax.Run) -> tuple[float, float]:
+    """The mean lap after the first, s, NaN where a lap is missing, and the crashed fraction."""
+    same = {"config": run.config, "deterministic": True}
+    hover = quadjax.evaluate(run.policy, **same, runs=1, laps=6).laps.whole_laps[0, 1:]
+    starts = quadjax.evaluate(run.policy, **same, runs=RUNS, start="before_gate", seconds=12).row
+    return float(hover.mean()), starts.crashed / starts.runs
+
+
+def cell(values: np.ndarray, digits: int) -> str:
+    """The median and the range of the numbers that are not NaN, and how many those are."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return "-"
+    low, middle, high = (f"{x:.{digits}f}" for x in np.quantile(known, (0.0, 0.5, 1.0)))
+    text = middle if len(values) == 1 else f"{middle} ({low}-{high})"
+    return text if known.size == len(values) else f"{text}, {known.size} of {len(values)}"
 
 
 def tracks(
-    config: ConfigName = "e2e_race",
+    runs: Annotated[tuple[Path, ...], Parameter(name="RUN", help="Folders of runs of one preset.")],
     /,
-    *overrides: Overrides,
-    tracks: Names = ("square4", "figure8", "figure8_tudelft", "split_s"),
-    drones: Names = ("bebop1", "5inch"),
-    policy: PolicyFile | None = None,
+    *,
     best: str = "best_known",
-    runs: Runs = 100,
-    output: Folder = Path("runs/tracks"),
 ) -> None:
-    """Train, or fly POLICY; ``tracks`` are names, files or random_SEED, ``runs`` random starts."""
-    laps, rows = read_best(best), [TITLES]
-    pairs = [(track, vehicle) for vehicle in drones for track in tracks]
-    words = {pair: [*words_of(*pair), *overrides] for pair in pairs}
-    races = {pair: quadjax.load(config, words[pair]) for pair in pairs}
-    for (track, vehicle), race in races.items():
-        names, changes = (Path(track).stem, Path(vehicle).stem), words[track, vehicle]
-        name = "_".join(names)
-        file = policy or train_once(config, [*changes, f"name={name}"], output) / "policy.npz"
-        picture = output / name / "lap.png"
-        rows.append(row_of(file, race, names, laps.get(names), runs, picture))
+    """Fly the policies of runs; ``best`` is a file of best known laps, or its name."""
+    known = {(*drone_of(x.vehicle), x.track): x.seconds for x in read_best(best).values()}
+    found: dict[tuple[str, str, str], list[tuple[float, float]]] = {}
+    for folder in dict.fromkeys(runs):
+        run = quadjax.Run.load(folder)
+        vehicle, track = run.config.vehicle, run.config.track.name
+        found.setdefault((vehicle.model, vehicle.name, track), []).append(measure(run))
+        print(folder, file=sys.stderr, flush=True)
+    rows, of_drone = [TITLES], dict[tuple[str, str], list[np.ndarray]]()
+    for (model, drone, track), numbers in found.items():
+        laps, crashed = np.transpose(numbers)
+        gaps = laps / known.get((model, drone, track), math.nan) - 1.0
+        rows.append((model, track, drone, str(len(laps)), cell(laps, 3), *cells(gaps, crashed)))
+        of_drone.setdefault((model, drone), []).append(np.stack([gaps, crashed]))
+    for (model, drone), each in of_drone.items():
+        gaps, crashed = np.concatenate(each, axis=1)
+        rows.append((model, "all", drone, str(len(gaps)), "-", *cells(gaps, crashed)))
     print(table(rows))
+
+
+def cells(gaps: np.ndarray, crashed: np.ndarray) -> tuple[str, str]:
+    """Fractions in %."""
+    return cell(100.0 * gaps, 1), cell(100.0 * crashed, 1)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """The scripts behind the numbers of the documentation."""
 
+import shutil
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,10 +10,12 @@ from benchmarks import speed
 from benchmarks.drones import draw_drones, reachable
 from benchmarks.probe import quantities, r_squared
 from benchmarks.ship import median_of
-from benchmarks.tracks import read_best, words_of
+from benchmarks.tracks import cell, read_best
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
+from quadjax.training.checkpoint import RunState
+from quadjax.training.result import write_summary
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.registry import base_model
 from tests.race.support import BLANK
@@ -55,9 +59,10 @@ def test_limits_of_the_commands_are_within_the_nominal_range():
     np.testing.assert_allclose(ratio, 10.98 * np.array([0.9, 1.2]) ** 2, rtol=0.01)
 
 
-def test_a_track_and_a_drone_are_overrides_and_best_laps_a_file(tmp_path):
-    assert words_of("random_3", "5inch") == ["track.generate.seed=3", "vehicle=5inch"]
-    assert words_of("dir/mine.yaml", "bebop1") == ["track=dir/mine.yaml", "vehicle=bebop1"]
+def test_best_laps_are_a_file_and_runs_a_median_with_their_range(tmp_path):
+    some = np.array([3.04, np.nan, 1.0, 2.0])
+    assert cell(some, 1) == "2.0 (1.0-3.0), 3 of 4"
+    assert (cell(some[2:3], 2), cell(some[1:2], 1)) == ("1.00", "-")
     shipped = read_best("best_known")
     assert shipped["square4", "bebop1"].seconds == 2.0385
     assert all(lap.source for lap in shipped.values())
@@ -85,10 +90,13 @@ def test_drawn_drones_are_vehicle_files(tmp_path, capsys):
 @pytest.mark.slow
 def test_scripts_print_their_tables(tmp_path, monkeypatch, capsys):
     policy = str(PRETRAINED / "e2e_fastest.npz")
-    own = ["--tracks", "square4", "--drones", "bebop1", "--runs", "4", "--output", tmp_path]
-    assert run_script("tracks", "e2e +fastest", "--policy", policy, *own) == 0
-    assert "| square4 | bebop1 | 2.0" in capsys.readouterr().out
-    assert (tmp_path / "square4_bebop1" / "lap.png").stat().st_size > 1000
+    config = load_config("e2e +fastest")
+    (tmp_path / "config.yaml").write_text(config.to_yaml())
+    run = RunState(None, None, steps=1)
+    write_summary(config, tmp_path, run, 1, True)
+    shutil.copy(policy, tmp_path / "policy.npz")
+    assert run_script("tracks", str(tmp_path), str(tmp_path)) == 0
+    assert "| motor | square4 | Parrot Bebop 1 | 1 | 2.0" in capsys.readouterr().out
     few = ["--policy", policy, "--drones", "40", "--seconds", "2"]
     assert run_script("probe", "e2e +fastest", "randomization.all=0.2", *few) == 0
     assert "| layer 2 |" in capsys.readouterr().out
