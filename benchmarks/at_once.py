@@ -21,26 +21,32 @@ from benchmarks.stacked import stack, train
 from quadjax.cli import options, script
 from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
+from quadjax.learners.loop import Plan
+from quadjax.learners.state import Learner
 from quadjax.training import build
 from quadjax.training.folder import FILES, KIND, prepare_folder
 
 Words = Annotated[tuple[str, ...], options.LIST, Parameter(metavar="KEY=VALUE ...")]
 
 
-def check(configs: Sequence[quadjax.Config]) -> None:
-    """Raise an ``InputError`` if the trainings cannot share one program."""
-    first, (learner, plan) = configs[0], build.make_learner(configs[0])
-    run = first.run
+def make_learners(configs: Sequence[quadjax.Config]) -> list[tuple[Learner, Plan]]:
+    """The learner and the plan of each training.
+
+    Raises:
+        InputError: trainings that cannot share one program.
+    """
+    made, first = [build.make_learner(config) for config in configs], configs[0]
+    (learner, plan), run = made[0], first.run
     if run.score == "reward" or run.initial_policy or first.evaluate.gates:
         raise InputError(
             "run.score reward, run.initial_policy and evaluate.gates are not supported"
         )
-    for config in configs[1:]:
-        other, its_plan = build.make_learner(config)
+    for config, (other, its_plan) in zip(configs, made, strict=True):
         same = (config.run, config.evaluate, config.rules) == (run, first.evaluate, first.rules)
         if not same or its_plan != plan or other.update is not learner.update:
             raise InputError(f"--each: {config.name} cannot share the program of {first.name}")
     stack([build.training_params(config) for config in configs])
+    return made
 
 
 def at_once(
@@ -64,11 +70,11 @@ def at_once(
         raise InputError(
             "--seeds, --each: two trainings have the same name, allowed: different ones"
         )
-    check(configs)
+    made = make_learners(configs)
     for config, folder in zip(configs, folders, strict=True):
         with claim(folder, KIND, FILES):
             prepare_folder(config, folder, resume=False, overwrite=False)
-    train(configs, folders, limit)
+    train(configs, made, folders, limit)
 
 
 if __name__ == "__main__":

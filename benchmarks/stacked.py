@@ -14,9 +14,9 @@ import numpy as np
 import quadjax
 from quadjax.config.assembly import make_choices
 from quadjax.core.errors import InputError
-from quadjax.learners.loop import train_chunks
+from quadjax.learners.loop import Plan, train_chunks
 from quadjax.learners.parallel import repeat
-from quadjax.learners.state import ActorCritic
+from quadjax.learners.state import ActorCritic, Learner
 from quadjax.policy.inference import PolicyParams, act_deterministic, act_sampled
 from quadjax.race import laps
 from quadjax.race.environment import exact_rules
@@ -25,6 +25,8 @@ from quadjax.training import build
 from quadjax.training.checkpoint import RunState
 from quadjax.training.result import MetricsFile, write_summary
 from quadjax.training.score import score_runs
+
+Configs, Made = Sequence[quadjax.Config], Sequence[tuple[Learner, Plan]]
 
 
 def stack(trees: Sequence[Any]) -> tuple[Any, Any]:
@@ -35,9 +37,7 @@ def stack(trees: Sequence[Any]) -> tuple[Any, Any]:
     """
     shapes = [(jax.tree.structure(x), [np.shape(y) for y in jax.tree.leaves(x)]) for x in trees]
     if any(shape != shapes[0] for shape in shapes):
-        raise InputError(
-            "--each: races of other shapes, allowed: the same keys and number of gates"
-        )
+        raise InputError("--each: races of other shapes, allowed: the same keys, as many gates")
     leaves, structure = list(zip(*map(jax.tree.leaves, trees), strict=True)), shapes[0][0]
     axes = [None if all(np.array_equal(row[0], x) for x in row) else 0 for row in leaves]
     rows = [x[0] if axis is None else jnp.stack(x) for axis, x in zip(axes, leaves, strict=True)]
@@ -77,19 +77,19 @@ def at(tree: Any, index: int) -> Any:
     return jax.tree.map(lambda leaf: leaf[index], tree)
 
 
-def train(configs: Sequence[quadjax.Config], folders: Sequence[Path], limit: float) -> None:
-    """Train all configs together and write their folders."""
+def train(configs: Configs, made: Made, folders: Sequence[Path], limit: float) -> None:
+    """Train all configs together, with the learners and plans ``made``, and write their folders."""
     start, first = time.monotonic(), configs[0]
     params = [build.training_params(config) for config in configs]
-    learner, plan = build.make_learner(first)
-    numbers = [(build.make_learner(x)[0].hyper, y) for x, y in zip(configs, params, strict=True)]
-    keys = jnp.stack([jax.random.key(config.seed) for config in configs])
-    (hyper, races), axes = stack(numbers)
-    states = jax.jit(jax.vmap(learner.init, (*axes, 0)))(hyper, races, keys)
+    learners, (learner, plan) = [each for each, _ in made], made[0]
+    # Each by itself: the batched QR of their initial kernels can block for ever on two cores.
+    begun = [build.start_state(*each) for each in zip(configs, learners, params, strict=True)]
+    runs = [RunState(state, jax.device_get(state.evaluated)) for state in begun]
+    (hyper, races), axes = stack([(x.hyper, y) for x, y in zip(learners, params, strict=True)])
+    states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *begun)
     updates = repeat(learner.update, plan.updates_per_chunk)
     many = jax.jit(jax.vmap(updates, (*axes, 0)), donate_argnums=2)
-    small = dataclasses.replace(states, environment=None, optimizer=(), target=None, ema=None)
-    runs = [RunState(small, at(states.evaluated, 0)) for _ in configs]
+    small = dataclasses.replace(begun[0], environment=None, optimizer=(), target=None, ema=None)
     files, score = [MetricsFile(folder, 0, False) for folder in folders], scorer(first, params)
     for chunk in train_chunks(functools.partial(many, hyper), races, states, plan):
         seconds, scores = time.monotonic() - start, score(chunk.state.evaluated)

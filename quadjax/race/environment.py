@@ -132,8 +132,8 @@ def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
     """The race without training limits: no gate inflation, any roll, yaw rate and valid pitch.
 
     It is on ``params.track``, also where the episodes of training are on random tracks. Clocks
-    start at zero. The length of an episode stays. The observation is not scaled: the
-    first layer of a policy has the factors.
+    start at zero. The length of an episode stays. The observation is not scaled: the first layer of
+    a policy has the factors.
     """
     pitch = math.degrees(model.pitch_limit)
     limits = {
