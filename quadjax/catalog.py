@@ -1,6 +1,7 @@
 """The text that ``quadjax show`` prints, and files of new tracks and vehicles."""
 
 import contextlib
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -157,8 +158,11 @@ def _vehicle_text(config: Config) -> str:
 
 def keys_text(kind: str) -> str:
     """The settings of a random track, or the data of an airframe, that ``write`` takes."""
-    keys = keys_of(RandomTrack if kind == "track" else Airframe)
-    return "\n".join(f"{key.key:<20}{key.description} ({key.default})" for key in keys)
+    lines = []
+    for key in keys_of(RandomTrack if kind == "track" else Airframe):
+        default = "" if key.default is None else f" ({json.dumps(key.default)})"
+        lines.append(f"{key.key:<20}{key.description}{default}")
+    return "\n".join(lines)
 
 
 def write_vehicle(path: Path, data: Sequence[str]) -> None:
