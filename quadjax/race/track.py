@@ -188,7 +188,7 @@ def make_tracks(settings: RandomTracks) -> tuple[Track, float]:
     trees = [generate(track) for track in settings.each]
     tracks = [make_track(TrackSection(gates=tree["gates"])) for tree in trees]
     limit = max(tree["rules"]["position_limit"] for tree in trees)
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *tracks), limit
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *tracks), limit
 
 
 def gate_count(track: Track) -> int:
