@@ -36,6 +36,7 @@ def test_numbers_with_a_unit_become_plain_numbers():
             "learner.num_envs=20 per leg time",
             "learner.discount=2 leg times",
             "learner.cotangent_decay=1 leg times",
+            "learner.cotangent_clip=3 per leg per leg time",
             "schedules.learner.cotangent_decay={linear: [1 leg times, 2e0 leg times]}",
         ],
     )
@@ -55,6 +56,7 @@ def test_numbers_with_a_unit_become_plain_numbers():
     assert config.learner.horizon == round(1.5 * time / 0.01)
     assert config.learner.num_envs == 8 * round(20 / time / 8)
     assert config.learner.discount == pytest.approx(math.exp(-0.01 / (2 * time)))
+    assert config.learner.cotangent_clip == pytest.approx(3 / (leg * time))
     decays = config.schedules["learner.cotangent_decay"].linear
     assert decays == pytest.approx([math.exp(-0.01 / time), math.exp(-0.005 / time)])
 
