@@ -54,8 +54,8 @@ class Scales:
         """The race units that a field declared in ``unit`` accepts, and their sizes in SI units.
 
         Environments are per leg time: their steps of an update are in leg times, so that updates of
-        all races have about the same number of steps. A number per m may also be per leg time, for
-        limits of gradients, which grow with the number of steps.
+        all races have about the same number of steps. A number per m may also be per leg time:
+        the clip of gradients is lower where a leg takes longer.
         """
         per_length = {"per leg": 1.0 / self.leg, "per half gate": 1.0 / self.half_gate}
         per_length["per leg per leg time"] = 1.0 / (self.leg * self.time)
