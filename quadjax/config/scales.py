@@ -54,15 +54,15 @@ class Scales:
         """The race units that a field declared in ``unit`` accepts, and their sizes in SI units.
 
         Environments are per leg time: their steps of an update are in leg times, so that updates of
-        all races have about the same number of steps. A number per m may also be per leg time:
-        the clip of gradients is lower where a leg takes longer.
+        all races have about the same number of steps. The clip of a gradient may also be per leg
+        time: lower where a leg takes longer.
         """
         per_length = {"per leg": 1.0 / self.leg, "per half gate": 1.0 / self.half_gate}
-        per_length["per leg per leg time"] = 1.0 / (self.leg * self.time)
         times, per_time = {"leg times": self.time}, {"per leg time": 1.0 / self.time}
         return {
             "m": {"legs": self.leg, "half gates": self.half_gate},
             "1/m": per_length,
+            "gradient": per_length | {"per leg per leg time": 1.0 / (self.leg * self.time)},
             "1/s": per_time,
             "m/s": {"legs per leg time": self.leg / self.time},
             "steps": times,

@@ -91,7 +91,7 @@ class Unit:
 
     Attributes:
         name: ``m``, ``1/m``, ``1/s``, ``m/s``; ``steps``, time steps; ``decay``, a factor per time
-            step; ``environments``, their number.
+            step; ``environments``, their number; ``gradient``, the largest one, per m.
     """
 
     name: str

@@ -81,7 +81,7 @@ class SHAC(LearnerSection):
     cotangent_decay: Annotated[Fraction, Unit("decay")] = Field(
         0.95, description="factor per step on the gradient that flows back through the state"
     )
-    cotangent_clip: Annotated[Positive, Unit("1/m")] = Field(
+    cotangent_clip: Annotated[Positive, Unit("gradient")] = Field(
         0.02,
         description="largest entry of the gradient that flows back through the state, in units of "
         "the scaled return",

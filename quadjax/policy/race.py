@@ -22,7 +22,6 @@ OLD = {  # names in files without config, and the same race now
     "e2e_fastest": "e2e +fastest",
     "e2e_fastest_disturbed": "e2e +fastest +disturbance",
     "e2e_ppo_residual": "e2e_ppo +residual",
-    "e2e_race_adaptive": "e2e_race_robust +history",
     "e2e_robust": "e2e +robust",
     "e2e_shac": "e2e",
     "indi": "indi +fastest",

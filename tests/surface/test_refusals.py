@@ -89,6 +89,7 @@ train 'e2e +fastest' 'learner.discount=-1 leg times' | learner.discount -1 above
 train 'e2e +fastest' 'learner.horizon=1e308 leg times' | horizon 1e308 most 1e+09
 train 'e2e +fastest' 'learner.num_envs=3 legs' | learner.num_envs legs per
 train 'e2e +fastest' 'reward.gate_edge=3 legs' | gate_edge per half gate
+train 'e2e +fastest' 'reward.gate_edge=3 per leg per leg time' | allowed per half gate
 train 'e2e +fastest' 'reward.gate=2 feet' | reward.gate feet number
 train 'e2e +fastest' 'run.steps=1 leg times' | run.steps whole number
 train 'e2e +fastest' 'schedules.learner.std.linear=[1 legs, 2]' | learner.std.linear[0] legs

@@ -74,6 +74,15 @@ def test_a_file_from_data(tmp_path, capsys):
     assert "already exists" in capsys.readouterr().err
 
 
+def test_the_data_are_listed_with_their_defaults(capsys):
+    assert run("show", "--write", "vehicle") == 0
+    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert lines["mass"] == "ready to fly, kg"
+    assert lines["tau"] == "time constant of motor and controller, s (0.03)"
+    assert run("show", "--write", "track") == 0
+    assert "([3.0, 8.0])" in capsys.readouterr().out
+
+
 def test_a_rate_model_alone(tmp_path, capsys):
     path = tmp_path / "rate.yaml"
     path.write_text("rate: " + str(ref.RATE).replace("'", "") + "\n")
