@@ -2,10 +2,11 @@
 
 1. ``collect_gradient`` simulates all environments over a short horizon, and differentiates their
    discounted return through the simulator.
-2. A step of Adam moves the policy along this gradient, if it is finite.
+2. A step of Adam or Muon moves the policy along this gradient, if it is finite.
 3. ``fit_critic`` fits the value to TD(lambda) targets of the same steps.
 
-A target critic and the moving average that is evaluated follow the parameters.
+A target critic and the moving average that is evaluated follow the parameters. Muon (Jordan et al.,
+2024) replaces the singular values of the momentum of a weight matrix by one.
 """
 
 import dataclasses
@@ -45,6 +46,8 @@ from quadjax.learners.section import (
 from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, TrainState
 
 TARGET_RATE = 0.2  # part of the distance to the critic that its target moves in an update
+MUON_BETA = 0.9  # decay of the momentum of Muon
+MUON_RMS = 0.8  # root mean square of Muon's step of a matrix, in learning rates
 EMA_FRACTION = 20.0  # the moving average covers about one part in 20 of the updates so far
 
 
@@ -62,7 +65,11 @@ class SHAC(LearnerSection):
         le=4096,
         description="steps of each environment per update, through which gradients flow",
     )
-    learning_rate: Fraction = Field(3e-3, description="step size of the policy's Adam")
+    optimizer: Literal["adam", "muon"] = Field(
+        "adam",
+        description="what moves the policy's weight matrices; its biases and the critic: Adam",
+    )
+    learning_rate: Fraction = Field(3e-3, description="step size of the policy's optimizer")
     adam_b1: float = Field(0.7, ge=0, lt=1, description="decay of Adam's first moment")
     adam_b2: float = Field(0.95, ge=0, lt=1, description="decay of Adam's second moment")
     max_grad_norm: Positive = Field(
@@ -113,12 +120,21 @@ def _adam(hyper: SHAC, rate: Scalar) -> optax.GradientTransformation:
     return optax.chain(adam, optax.scale(-jnp.asarray(rate)))
 
 
+def _policy_optimizer(hyper: SHAC, rate: Scalar) -> optax.GradientTransformation:
+    if hyper.optimizer == "adam":
+        return _adam(hyper, rate)
+    settings = {"beta": MUON_BETA, "consistent_rms": MUON_RMS}
+    return optax.contrib.muon(
+        jnp.asarray(rate), adam_b1=hyper.adam_b1, adam_b2=hyper.adam_b2, **settings
+    )
+
+
 def _init(task: Task, hyper: SHAC, key: jax.Array) -> TrainState:
     state = first_state(task, key, hyper.num_envs, jnp.log(hyper.std))
-    params, adam = state.params, _adam(hyper, 0.0)
+    params, adam, optimizer = state.params, _adam(hyper, 0.0), _policy_optimizer(hyper, 0.0)
     return dataclasses.replace(
         state,
-        optimizer=(adam.init(params.policy), adam.init(params.value)),
+        optimizer=(optimizer.init(params.policy), adam.init(params.value)),
         target=jax.tree.map(jnp.copy, params),
         ema=jax.tree.map(jnp.copy, params),
     )
@@ -128,8 +144,8 @@ def _update(task: Task, hyper: SHAC, state: TrainState) -> tuple[TrainState, Met
     key, rollout_key, shuffle_key = jax.random.split(state.key, 3)
     loss, gradient, environment_state, steps = collect_gradient(task, hyper, state, rollout_key)
     carry, clipped = (state.params.policy, state.optimizer[0]), clip(gradient, hyper.max_grad_norm)
-    adam = _adam(hyper, hyper.learning_rate)
-    (policy, policy_optimizer), skipped = descend(adam, clipped, carry)
+    optimizer = _policy_optimizer(hyper, hyper.learning_rate)
+    (policy, policy_optimizer), skipped = descend(optimizer, clipped, carry)
     value, value_optimizer, critic_metrics = fit_critic(task, hyper, state, steps, shuffle_key)
     log_std = jnp.full_like(state.params.log_std, jnp.log(hyper.std))
     params = ActorCritic(policy=policy, log_std=log_std, value=value)
