@@ -37,12 +37,13 @@ def make_learners(configs: Sequence[quadjax.Config]) -> list[tuple[Learner, Plan
     """
     made, first = [build.make_learner(config) for config in configs], configs[0]
     (learner, plan), run = made[0], first.run
+    alike = run, first.evaluate, first.rules.time_step
     if run.score == "reward" or run.initial_policy or first.evaluate.gates:
         raise InputError(
             "run.score reward, run.initial_policy and evaluate.gates are not supported"
         )
     for config, (other, its_plan) in zip(configs, made, strict=True):
-        same = (config.run, config.evaluate, config.rules) == (run, first.evaluate, first.rules)
+        same = (config.run, config.evaluate, config.rules.time_step) == alike
         if not same or its_plan != plan or other.update is not learner.update:
             raise InputError(f"--each: {config.name} cannot share the program of {first.name}")
     stack([build.training_params(config) for config in configs])

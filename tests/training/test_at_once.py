@@ -7,13 +7,13 @@ import quadjax
 from benchmarks.at_once import at_once
 from tests.surface.short import short, short_config
 
-TRACKS = "track.generate.seed=1", "track.generate.seed=2"
+TRACKS = "track.generate.seed=1", "track.generate.seed=3"  # of other bounds
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "each", "name"),
-    [("e2e_ppo", (), "e2e_ppo"), ("e2e_race", TRACKS, "e2e_race_2")],
+    [("e2e_ppo", (), "e2e_ppo"), ("e2e_race", TRACKS, "e2e_race_3")],
 )
 def test_each_training_is_as_alone(tmp_path, preset, each, name):
     at_once(*short(preset), seeds=(3, 4), each=each, output=tmp_path)
