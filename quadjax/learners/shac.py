@@ -67,7 +67,8 @@ class SHAC(LearnerSection):
     )
     optimizer: Literal["adam", "muon"] = Field(
         "adam",
-        description="what moves the policy's weight matrices; its biases and the critic: Adam",
+        description="optimizer of the policy; with muon, which is for matrices, its biases are "
+        "moved by Adam with Nesterov momentum; the critic is always moved by Adam",
     )
     learning_rate: Fraction = Field(3e-3, description="step size of the policy's optimizer")
     adam_b1: float = Field(0.7, ge=0, lt=1, description="decay of Adam's first moment")
@@ -120,18 +121,22 @@ def _adam(hyper: SHAC, rate: Scalar) -> optax.GradientTransformation:
     return optax.chain(adam, optax.scale(-jnp.asarray(rate)))
 
 
-def _policy_optimizer(hyper: SHAC, rate: Scalar) -> optax.GradientTransformation:
+def make_policy_optimizer(hyper: SHAC, rate: Scalar) -> optax.GradientTransformation:
+    """The optimizer of ``hyper`` with a step size."""
     if hyper.optimizer == "adam":
         return _adam(hyper, rate)
-    settings = {"beta": MUON_BETA, "consistent_rms": MUON_RMS}
     return optax.contrib.muon(
-        jnp.asarray(rate), adam_b1=hyper.adam_b1, adam_b2=hyper.adam_b2, **settings
+        jnp.asarray(rate),
+        beta=MUON_BETA,
+        adam_b1=hyper.adam_b1,
+        adam_b2=hyper.adam_b2,
+        consistent_rms=MUON_RMS,
     )
 
 
 def _init(task: Task, hyper: SHAC, key: jax.Array) -> TrainState:
     state = first_state(task, key, hyper.num_envs, jnp.log(hyper.std))
-    params, adam, optimizer = state.params, _adam(hyper, 0.0), _policy_optimizer(hyper, 0.0)
+    params, adam, optimizer = state.params, _adam(hyper, 0.0), make_policy_optimizer(hyper, 0.0)
     return dataclasses.replace(
         state,
         optimizer=(optimizer.init(params.policy), adam.init(params.value)),
@@ -144,7 +149,7 @@ def _update(task: Task, hyper: SHAC, state: TrainState) -> tuple[TrainState, Met
     key, rollout_key, shuffle_key = jax.random.split(state.key, 3)
     loss, gradient, environment_state, steps = collect_gradient(task, hyper, state, rollout_key)
     carry, clipped = (state.params.policy, state.optimizer[0]), clip(gradient, hyper.max_grad_norm)
-    optimizer = _policy_optimizer(hyper, hyper.learning_rate)
+    optimizer = make_policy_optimizer(hyper, hyper.learning_rate)
     (policy, policy_optimizer), skipped = descend(optimizer, clipped, carry)
     value, value_optimizer, critic_metrics = fit_critic(task, hyper, state, steps, shuffle_key)
     log_std = jnp.full_like(state.params.log_std, jnp.log(hyper.std))

@@ -42,6 +42,7 @@ DEFAULTS = {
         reward_scale=0.5,
     ),
 }
+DEFAULTS["muon"] = DEFAULTS["shac"].replace(optimizer="muon")
 
 
 def networks_of(name: str) -> Networks:

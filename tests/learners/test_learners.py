@@ -8,7 +8,7 @@ import pytest
 from quadjax.learners import parallel
 from quadjax.learners.loop import NonFiniteError, check_finite
 from tests.learners.probes import observations, probe
-from tests.learners.support import UPDATES, Run, plain
+from tests.learners.support import DEFAULTS, UPDATES, Run, plain
 
 BOTH = pytest.mark.parametrize("name", ["ppo", "shac"])
 SCALE = {"ppo": 1.0, "shac": 0.5}  # of the rewards that the value sees
@@ -47,7 +47,7 @@ def test_the_value_of_a_probe(name, case):
     np.testing.assert_allclose(np.mean(values, axis=0), list(wanted.values()), atol=0.1)
 
 
-@BOTH
+@pytest.mark.parametrize("name", DEFAULTS)
 @pytest.mark.parametrize("case", ACTIONS)
 def test_the_best_action_of_a_probe(name, case):
     weights, wanted = ACTIONS[case]
