@@ -5,8 +5,9 @@
 2. A step of Adam or Muon moves the policy along this gradient, if it is finite.
 3. ``fit_critic`` fits the value to TD(lambda) targets of the same steps.
 
-A target critic and the moving average that is evaluated follow the parameters. Muon (Jordan et al.,
-2024) replaces the singular values of the momentum of a weight matrix by one.
+A target critic and the moving average that is evaluated follow the parameters. Muon (Jordan,
+https://kellerjordan.github.io/posts/muon, 2024) brings the singular values of the momentum of a
+weight matrix close to one.
 """
 
 import dataclasses
@@ -47,7 +48,7 @@ from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, Trai
 
 TARGET_RATE = 0.2  # part of the distance to the critic that its target moves in an update
 MUON_BETA = 0.9  # decay of the momentum of Muon
-MUON_RMS = 0.8  # root mean square of Muon's step of a matrix, in learning rates
+MUON_RMS = 0.8  # root mean square of an orthogonal step of a matrix, in learning rates
 EMA_FRACTION = 20.0  # the moving average covers about one part in 20 of the updates so far
 
 
@@ -67,8 +68,8 @@ class SHAC(LearnerSection):
     )
     optimizer: Literal["adam", "muon"] = Field(
         "adam",
-        description="optimizer of the policy; with muon, which is for matrices, its biases are "
-        "moved by Adam with Nesterov momentum; the critic is always moved by Adam",
+        description="optimizer of the policy: adam, or muon for its matrices, with Adam (Nesterov "
+        "momentum) for its other parameters; the critic has Adam",
     )
     learning_rate: Fraction = Field(3e-3, description="step size of the policy's optimizer")
     adam_b1: float = Field(0.7, ge=0, lt=1, description="decay of Adam's first moment")

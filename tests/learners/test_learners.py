@@ -11,6 +11,7 @@ from tests.learners.probes import observations, probe
 from tests.learners.support import DEFAULTS, UPDATES, Run, plain
 
 BOTH = pytest.mark.parametrize("name", ["ppo", "shac"])
+ALL = pytest.mark.parametrize("name", DEFAULTS)
 SCALE = {"ppo": 1.0, "shac": 0.5}  # of the rewards that the value sees
 VALUES = {  # weights of a probe: the values of (sign, clock), with a discount of one half
     "constant reward": ({"constant": 1.0}, {(1.0, 0.0): 1.0}),
@@ -47,7 +48,7 @@ def test_the_value_of_a_probe(name, case):
     np.testing.assert_allclose(np.mean(values, axis=0), list(wanted.values()), atol=0.1)
 
 
-@pytest.mark.parametrize("name", DEFAULTS)
+@ALL
 @pytest.mark.parametrize("case", ACTIONS)
 def test_the_best_action_of_a_probe(name, case):
     weights, wanted = ACTIONS[case]
@@ -58,7 +59,7 @@ def test_the_best_action_of_a_probe(name, case):
     assert after > before + 0.05
 
 
-@BOTH
+@ALL
 @pytest.mark.slow
 def test_the_same_on_several_devices(name):
     def trained(devices):
@@ -78,7 +79,7 @@ def test_the_same_on_several_devices(name):
     np.testing.assert_allclose(state.environment.place, alone.environment.place, atol=2e-4)
 
 
-@BOTH
+@ALL
 def test_resumed_is_the_same_bit_for_bit(name):
     """A state made of NumPy arrays, as from a file, trains on as the one in memory."""
     straight, stopped = (Run(name, probe(place=1.0, move=0.5, length=3.0)) for _ in range(2))
@@ -110,7 +111,7 @@ def test_a_batch_beyond_the_kl_limit_changes_nothing():
     assert changed(begin.key, run.state.key)
 
 
-@BOTH
+@ALL
 def test_what_is_not_finite_changes_no_parameter(name):
     run = Run(name, probe(best=1.0))
     run.train(1)

@@ -16,7 +16,7 @@ from quadjax.learners.loop import plan_chunks
 from quadjax.learners.parallel import choose_devices
 from quadjax.learners.ppo import PPO, Batch, loss
 from quadjax.learners.rollout import Steps, clip, run_epochs, td_lambda
-from quadjax.learners.shac import MUON_RMS, SHAC, make_policy_optimizer, total_return
+from quadjax.learners.shac import SHAC, make_policy_optimizer, total_return
 from quadjax.learners.state import ActorCritic
 from quadjax.race.environment import make_environment, with_critic_constants
 from quadjax.training.build import training_environment
@@ -36,21 +36,28 @@ def steps():
 
 
 def test_a_step_of_muon_moves_all_directions_of_a_matrix_equally_far():
-    """Against a singular value decomposition in float64; a bias moves as with NAdam."""
-    draw, rate = np.random.default_rng(0), 0.01
+    """The second step, against momentum and SVD in float64; a bias moves as by NAdam."""
+    draw, rate, beta = np.random.default_rng(0), 0.01, 0.9
     shapes = {"wide": (8, 20), "tall": (20, 8), "bias": (20,)}
-    gradient = {name: draw.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
-    optimizer = make_policy_optimizer(SHAC(optimizer="muon", adam_b1=0.7), rate)
-    step, _ = optimizer.update(gradient, optimizer.init(gradient), gradient)
+    gradients = [{name: draw.normal(size=shape) for name, shape in shapes.items()} for _ in "12"]
+    optimizer = make_policy_optimizer(SHAC(optimizer="muon", adam_b1=0.7, adam_b2=0.95), rate)
+    first, second = (jax.tree.map(np.float32, gradient) for gradient in gradients)
+    _, state = optimizer.update(first, optimizer.init(first), first)
+    step, _ = optimizer.update(second, state, first)
     for name in ("wide", "tall"):
-        left, _, right = np.linalg.svd(gradient[name].astype(np.float64), full_matrices=False)
+        old, new = (gradient[name] for gradient in gradients)
+        momentum = beta * (1 - beta) * old + (1 - beta) * new
+        ahead = beta * momentum / (1 - beta**3) + (1 - beta) * new / (1 - beta**2)  # Nesterov
+        left, _, right = np.linalg.svd(ahead, full_matrices=False)
         moved = np.einsum("ji,jk,ik->i", left, np.asarray(step[name]), right)
-        wanted = -rate * MUON_RMS * np.sqrt(20.0)
+        wanted = -rate * 0.8 * np.sqrt(20.0)
         np.testing.assert_allclose(moved, wanted, rtol=0.35)  # five steps of Newton and Schulz
-        rest = np.asarray(step[name]) - left @ np.diag(moved) @ right
-        np.testing.assert_allclose(rest, 0.0, atol=1e-5)
-    first = 1.0 + 0.7 * (1.0 - 0.7) / (1.0 - 0.7**2)  # Nesterov's momentum, without its bias
-    np.testing.assert_allclose(step["bias"], -rate * first * np.sign(gradient["bias"]), rtol=1e-3)
+        np.testing.assert_allclose(step[name], left @ np.diag(moved) @ right, atol=1e-5)
+    old, new = (gradient["bias"] for gradient in gradients)
+    mean, square = 0.7 * 0.3 * old + 0.3 * new, 0.95 * 0.05 * old**2 + 0.05 * new**2
+    ahead = 0.7 * mean / (1 - 0.7**3) + 0.3 * new / (1 - 0.7**2)
+    wanted = -rate * ahead / np.sqrt(square / (1 - 0.95**2))
+    np.testing.assert_allclose(step["bias"], wanted, rtol=1e-4)
 
 
 def targets(reward, next_value, terminated, truncated, *numbers):
