@@ -42,6 +42,7 @@ RACES = {  # preset, overrides
     "without rotors": ("e2e", (*FIVE_INCH, RANDOM_TRACK)),
     "battery": ("e2e", (BATTERY, "observation.disturbance=none")),
     "everything": ("e2e +disturbance", (EARLIER, *MORE, BATTERY)),
+    "half turns": ("e2e_race", ("vehicle=5inch", "track=figure8_tudelft")),
 }
 RACES |= {name: (preset, (*more, RANDOM_TRACK)) for name, (preset, more) in LAYOUTS.items()}
 WIDE = {"position": 64.0, "velocity": 128.0, "rates": 1024.0, "attitude": 4.0}

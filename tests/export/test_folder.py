@@ -9,6 +9,7 @@ import shutil
 import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from quadjax import __version__
@@ -25,6 +26,7 @@ from quadjax.export.verify.build import Library
 from quadjax.export.verify.checks import CHECKS
 from quadjax.export.verify.result import FAILED, PASSED, SKIPPED
 from quadjax.export.words import pack
+from quadjax.race.track import gates_ahead
 from tests.commands import run as command
 from tests.export.support import made
 
@@ -71,6 +73,15 @@ def test_all_checks_of_an_exported_folder(flown):
             assert result.verdict == PASSED, result.figure
     figures = {result.check: result.figure for result in results}
     assert "instructions" in figures["processor"] and "missed" in figures["simulator"]
+
+
+def test_a_gate_ahead_that_faces_the_other_way(tmp_path, no_flights):
+    """Its yaw is pi or -pi: in float64, rounding gives the other one than in float32 and in C."""
+    track = made("half turns")[1].params.track
+    (facing,) = np.nonzero(np.abs(np.abs(gates_ahead(track, 2)[1]) - np.pi) < 1e-6)
+    assert len(facing) == 6
+    export(tmp_path / "c", "half turns")
+    assert verdicts(tmp_path / "c", "simulator") == [PASSED, PASSED]
 
 
 @pytest.mark.parametrize("check", ALLOWANCES)

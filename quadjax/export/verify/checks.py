@@ -218,10 +218,11 @@ def check_simulator(c: Context) -> str:
     observed = rows[:, : network.inputs] / 2.0**30 * network.box.ranges
     error = np.abs(observed - exact) / network.box.ranges
     # A yaw within rounding of half a turn is the same angle on either side.
-    if "attitude" in network.box.layout:
-        turn = network.box.layout.slice("attitude").start + 2
-        other = np.abs(error[:, turn] - 2.0 * np.pi / network.box.ranges[turn])
-        error[:, turn] = np.minimum(error[:, turn], other)
+    for name in network.box.layout.names:
+        if name == "attitude" or name.endswith("_yaw"):
+            yaw = network.box.layout.slice(name).stop - 1
+            other = np.abs(error[:, yaw] - 2.0 * np.pi / network.box.ranges[yaw])
+            error[:, yaw] = np.minimum(error[:, yaw], other)
     worst = float(error.max())
     require(worst <= OBSERVATION_TOLERANCE, f"an input is {worst:.2g} of its range apart")
     positions, targets = flights.wander(race, steps=5000)
