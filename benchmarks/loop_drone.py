@@ -29,6 +29,7 @@ FIT = ("logs.min_seconds=1", "logs.max_scale_error=0.5", "figures=false")
 SHORT = ("split.folds=3", "residual.mirror=off", "residual.seeds=3")  # a third of the time
 FULL = "schedules.vehicle.residual_gain=null"  # from the first step: the first policies fly without
 AHEAD = "start.heading=inside_turn"  # otherwise some policies turn against the track
+LEARNER = ("learner.optimizer=adam", "learner.num_envs=256", "learner.critic_epochs=4")  # of both
 TURN = "schedules.start.yaw_deg={linear: [0.0, value], from: 0.2, until: 0.5}"
 CONTENDERS: dict[str, tuple[str, ...]] = {
     "E2E, residual": ("e2e", "+residual", FULL),
@@ -70,7 +71,7 @@ class Drone:
                 return record
             raise InputError(f"{path}: of another plant or number of steps; name another --output")
         model = self.identify()
-        words = [*CONTENDERS[name], f"seed={seed}", f"run.steps={self.steps}"]
+        words = [*CONTENDERS[name], *LEARNER, f"seed={seed}", f"run.steps={self.steps}"]
         words += [f"vehicle.file={model / 'vehicle.yaml'}"]
         words += [f"vehicle.residual={model / 'residual.npz'}"] * ("+residual" in words)
         config = quadjax.load(words[0], words[1:])
