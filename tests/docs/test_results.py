@@ -16,7 +16,8 @@ def test_the_page_has_the_tables_of_the_file():
     tables = {*results.TABLES, "body", "measured"}
     assert set(re.findall(r"<!-- results: (\w+) -->", PAGE)) == tables
     changed = json.loads(json.dumps(DATA))
-    changed["presets"][0]["total"]["mean"][2] -= 0.01
+    times = changed["presets"][0]["total"]["mean"]
+    times[:] = [time - 0.01 for time in times]
     assert results.render(changed, PAGE) != PAGE
 
 

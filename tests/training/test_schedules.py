@@ -48,7 +48,7 @@ def test_schedules_from_start_to_end():
         for vehicle in (params.vehicle, params.estimator.vehicle):
             found = vehicle.residual.moment[-1][0]
             np.testing.assert_allclose(found, residual * kernel, atol=1e-6)
-        rate = 4e-3 + 0.1 * update * (1.5e-4 - 4e-3)
+        rate = 3e-3 + 0.1 * update * (1.5e-4 - 3e-3)
         assert float(hyper.learning_rate) == pytest.approx(rate, rel=1e-5)
         assert float(params.reward.gate) == 10.0
     inside = np.radians([90.0, 180.0, -90.0, 0.0])  # of the legs to the paper's four gates
