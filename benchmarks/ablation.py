@@ -19,7 +19,11 @@ from quadjax.evaluation.evaluate import joined
 
 RESIDUAL, STEPS = "standin_residual.npz", "run.steps=12000000"
 GROUPS = ("inertia", "thrust", "drag", "moment", "velocity_moment", "yaw", "lag")
-WITH = ("e2e", STEPS, f"vehicle.residual={RESIDUAL}")
+LEARNER = (  # of every policy
+    *("learner.optimizer=adam", "learner.learning_rate=0.004", "learner.num_envs=256"),
+    *("learner.critic_epochs=4", "learner.critic_minibatches=8"),
+)
+WITH = ("e2e", STEPS, *LEARNER, f"vehicle.residual={RESIDUAL}")
 DISTURBED = ("e2e", "+disturbance", STEPS, f"vehicle.residual={RESIDUAL}")
 
 
@@ -41,7 +45,7 @@ def _randomized(percent: int) -> Variant:
 
 
 VARIANTS = (
-    Variant("residual", "without", "e2e_nominal", ("e2e", STEPS)),
+    Variant("residual", "without", "e2e_nominal", ("e2e", STEPS, *LEARNER)),
     Variant("residual", "with", "e2e_residual", WITH, True),
     *(
         Variant("disturbance", source, "e2e_ground_truth", DISTURBED, True, source)

@@ -29,7 +29,7 @@ FIT = ("logs.min_seconds=1", "logs.max_scale_error=0.5", "figures=false")
 SHORT = ("split.folds=3", "residual.mirror=off", "residual.seeds=3")  # a third of the time
 FULL = "schedules.vehicle.residual_gain=null"  # from the first step: the first policies fly without
 AHEAD = "start.heading=inside_turn"  # otherwise some policies turn against the track
-LEARNER = ("learner.optimizer=adam", "learner.num_envs=256", "learner.critic_epochs=4")  # of both
+LEARNER = ("learner.optimizer=adam", "learner.num_envs=256", "learner.critic_epochs=4")
 TURN = "schedules.start.yaw_deg={linear: [0.0, value], from: 0.2, until: 0.5}"
 CONTENDERS: dict[str, tuple[str, ...]] = {
     "E2E, residual": ("e2e", "+residual", FULL),

@@ -76,7 +76,7 @@ def test_all_checks_of_an_exported_folder(flown):
 
 
 def test_a_gate_ahead_that_faces_the_other_way(tmp_path, no_flights):
-    """Its yaw is pi or -pi: in float64, rounding gives the other one than in float32 and in C."""
+    """Rounding decides between pi and -pi: float64 can differ from float32 and C."""
     track = made("half turns")[1].params.track
     (facing,) = np.nonzero(np.abs(np.abs(gates_ahead(track, 2)[1]) - np.pi) < 1e-6)
     assert len(facing) == 6
