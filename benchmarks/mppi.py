@@ -12,8 +12,8 @@ million steps). A simulated second takes 0.8 to 1.8 s of one AMD EPYC core:
 | track | MPPI | policy |
 |---|---|---|
 | square4 | 7.22, 7.26, 7.34, 7.15, 7.25 | 6.56 |
-| figure8 | 11.48, 11.64, 11.54, 11.45, 11.56 | 10.32 |
-| ring8 | 13.77, 15.78, 15.63, 15.36, 15.35 | 10.52 |
+| figure8 | 11.48, 11.64, 11.54, 11.45, 11.56 | 10.26 |
+| ring8 | 13.77, 15.78, 15.63, 15.36, 15.35 | 10.53 |
 """
 
 import functools
