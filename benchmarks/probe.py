@@ -67,8 +67,10 @@ def sample(policy, config, drones, seconds, seed) -> tuple[np.ndarray, dict, dic
     seen, on = jax.jit(lambda race: jax.lax.scan(record, race, None, count))(first)[1]
     kept = np.asarray(on).reshape(-1)
     inputs = {"observation": jnp.reshape(seen, (len(kept), -1))[kept]}
-    hidden = mlp.hidden(pilot_params.policy.layers, inputs["observation"], policy.activation)
-    inputs |= {f"layer {number}": x for number, x in enumerate(hidden, start=1)}
+    layers = mlp.to_layers(pilot_params.policy.params["actor"])
+    for number, (kernel, bias) in enumerate(layers[:-1], start=1):
+        last = list(inputs.values())[-1]
+        inputs[f"layer {number}"] = mlp.ACTIVATIONS[policy.activation](last @ kernel + bias)
     drawn = reachable(choices.model, params.vehicle.constants, states.constants)
     return np.tile(np.arange(drones), count)[kept], inputs, quantities(choices.model, drawn)
 

@@ -14,9 +14,10 @@ import numpy as np
 import quadjax
 from quadjax.config.assembly import make_choices
 from quadjax.core.errors import InputError
+from quadjax.core.mlp import Params
 from quadjax.learners.loop import Plan, train_chunks
 from quadjax.learners.parallel import repeat
-from quadjax.learners.state import ActorCritic, Learner
+from quadjax.learners.state import Learner
 from quadjax.policy.inference import PolicyParams, act_deterministic, act_sampled
 from quadjax.race import laps
 from quadjax.race.environment import exact_rules
@@ -45,7 +46,7 @@ def stack(trees: Sequence[Any]) -> tuple[Any, Any]:
 
 
 def scorer(config: quadjax.Config, params: Sequence[RaceParams]) -> Callable[[Any], list[float]]:
-    """The scores of ``quadjax.training.score.make_flights`` for the networks of all trainings."""
+    """The scores of ``quadjax.training.score.make_flights`` for the parameters of all trainings."""
     choices, length, runs = make_choices(config), config.evaluate.laps, score_runs(config)
     act = act_sampled if config.run.score == "sampled" else act_deterministic
     start_key, key = jax.random.split(jax.random.key(0))
@@ -55,17 +56,17 @@ def scorer(config: quadjax.Config, params: Sequence[RaceParams]) -> Callable[[An
     ]
     sizes = length, max(laps.step_limit(x, length) for x in exact), False
     (stacked, axes), dt = stack(exact), float(exact[0].rules.time_step)
+    network = build.make_network(config).clone(privileged_size=0)
 
     @jax.jit
     @functools.partial(jax.vmap, in_axes=(axes, 0))
-    def fly(race: RaceParams, networks: ActorCritic) -> Any:
-        code = config.network.activation, config.learner.noise_on
-        policy = PolicyParams(networks.policy, networks.log_std, *code)
+    def fly(race: RaceParams, params: Params) -> Any:
+        policy = PolicyParams({name: params[name] for name in ("actor", "log_std")}, network)
         states = laps.starting_states(choices, race, start_key, runs, from_hover=True)
         return laps.fly_race(choices, act, *sizes, race, policy, states, key)[0]
 
-    def score(networks: ActorCritic) -> list[float]:
-        flown = jax.device_get(fly(stacked, networks))
+    def score(params: Params) -> list[float]:
+        flown = jax.device_get(fly(stacked, params))
         limits = [laps.time_limit(race.track, length) for race in exact]
         return [laps.laps_of(choices, at(flown, i), dt, x).score for i, x in enumerate(limits)]
 

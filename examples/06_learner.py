@@ -12,17 +12,18 @@ class GradientAscent(quadjax.LearnerSection):
     horizon: int = 40
     learning_rate: float = 3e-3
 
-    def make(self, environment, networks, num_updates):
+    def make(self, environment, network, num_updates):
         adam = optax.adam(self.learning_rate)
 
         def init(hyper, params, key):
-            w = networks.init(key)
+            w = network.init(key, jnp.zeros(environment.observation_size))["params"]
             return quadjax.TrainState(w, adam.init(w), None, (), key, jnp.int32(0))
 
         def loss(w, params, key):  # of one environment, until it crashes
             def step(carry, _):
                 state, alive = carry
-                action = networks.mean(w, environment.observe(params, state))
+                seen = environment.observe(params, state)
+                action = network.apply({"params": w}, seen, method="mean")
                 state, reward, terminated, _ = environment.step(params, state, action)
                 return (state, alive & ~terminated), jnp.where(alive, -reward, 0.0)
 

@@ -17,6 +17,7 @@ from quadjax.export.convert import export_c as export_c
 from quadjax.fitting.config import LogsConfig as LogsConfig
 from quadjax.fitting.flight_log import read_log as read_log
 from quadjax.fitting.formats import LogFormat as LogFormat
+from quadjax.learners.networks import ActorCritic as ActorCritic
 from quadjax.learners.ppo import PPO as PPO
 from quadjax.learners.schedules import Schedule as Schedule
 from quadjax.learners.section import LearnerSection as LearnerSection

@@ -100,7 +100,8 @@ def compare(
         options = dict(protocol) | {"plant": plant, "plants": plants, "progress": report}
         options["conditions"] = conditions.replace(deterministic=protocol["deterministic"])
         first, second = (
-            evaluate(Policy.load(file), race, name=name, **options) for name, file in files.items()
+            evaluate(Policy.load(file, race), race, name=name, **options)
+            for name, file in files.items()
         )
         text, result["plants"] = plants_table(first.rows, second.rows)
         texts.append(text)
@@ -121,7 +122,7 @@ def fly_worlds(
     """Flights of the policies in the simulator and on the plant, by "POLICY WORLD"."""
     flown = {}
     for name, file in files.items():
-        policy = Policy.load(file)
+        policy = Policy.load(file, race)
         for world, config, drone in (
             (SIMULATED, race_config(race, policy), None),
             (ON_PLANT, race, plant),

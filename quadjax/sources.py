@@ -104,7 +104,7 @@ def fly(
 
     The arguments are those of ``load_flights``.
     """
-    policy = Policy.load(path)
+    policy = Policy.load(path, race)
     race, _ = race_of_policy(policy, path, race, report=report)
     arguments = {"runs": 1, "deterministic": True} | options
     return evaluate(policy, race, name=str(path), **arguments).named_flights(name)

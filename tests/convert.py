@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.core.mlp import to_params
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.rate import RateCommand, RateConstants
@@ -61,12 +62,9 @@ def command_of(kind: str, rows: np.ndarray) -> Rotors | RateCommand:
 
 
 def residual_of(values: dict) -> Residual:
-    def layers(pairs: list) -> tuple:
-        return tuple((jnp.asarray(kernel), jnp.asarray(bias)) for kernel, bias in pairs)
-
     return Residual(
-        thrust=layers(values["thrust"]),
-        moment=layers(values["moment"]),
+        thrust=to_params(values["thrust"]),
+        moment=to_params(values["moment"]),
         rpm_min=jnp.asarray(values["rpm_min"], float),
         rpm_max=jnp.asarray(values["rpm_max"], float),
         thrust_sign=jnp.asarray(values["thrust_sign"], float),

@@ -12,7 +12,7 @@ ALLOWED = {
     "race": {"core", "vehicle"},
     "learners": {"core"},
     "config": CONFIG,
-    "policy": CONFIG - {"learners"} | {"config"},
+    "policy": CONFIG | {"config"},
     "training": CONFIG | {"config", "policy", "flights"},
     "flights": {"core", "vehicle", "race"},
     "view": {"core", "race", "flights"},

@@ -1,11 +1,11 @@
 """Policy and residual files: they come back as they went, and damage is one clear line."""
 
 import dataclasses
-import functools
 import io
 import json
 import zipfile
 
+import chex
 import jax
 import numpy as np
 import pytest
@@ -76,7 +76,7 @@ def test_policy_comes_back_as_it_went(tmp_path):
     value = ((np.ones((17, 8)), np.zeros(8)), (np.full((8, 1), 0.5), np.array([3.0])))
     first = Policy.load(save(tmp_path / "a.npz", policy_arrays(), bare))
     dataclasses.replace(first, value=value).save(tmp_path / "v.npz")
-    jax.tree.map(np.testing.assert_array_equal, Policy.load(tmp_path / "v.npz").value, value)
+    chex.assert_trees_all_equal(Policy.load(tmp_path / "v.npz").value, value)
     assert first.layout.size == 17 and first.layout["thrust"].span == ((0.0, 15.0),)
     assert (first.vehicle, first.activation, first.config) == ("rate", "relu", None)
     np.testing.assert_array_equal(first.command_high, [3, 3, 3, 15])
@@ -84,7 +84,7 @@ def test_policy_comes_back_as_it_went(tmp_path):
     second = Policy.load(tmp_path / "new" / "b.npz")
     assert first.layout.to_meta() == second.layout.to_meta()
     for name in set(Policy.__dataclass_fields__) - {"layout"}:
-        jax.tree.map(np.testing.assert_array_equal, getattr(first, name), getattr(second, name))
+        chex.assert_trees_all_equal(getattr(first, name), getattr(second, name))
     with np.load(tmp_path / "new" / "b.npz", allow_pickle=False) as file:
         assert set(file) == {*policy_arrays(), "meta"}
         for key, array in policy_arrays().items():
@@ -115,7 +115,7 @@ def test_a_policy_has_the_residual_that_it_was_trained_with(tmp_path):
     found = Policy.load(path)
     assert found.config == {"vehicle": {"residual": str(path)}}
     for again in (found.residual, read_residual(path)):
-        jax.tree.map(np.testing.assert_array_equal, again, residual)
+        chex.assert_trees_all_equal(again, residual)
     first.save(tmp_path / "c.npz")
     assert "without a residual" in refusal(read_residual, tmp_path / "c.npz")
 
@@ -227,11 +227,10 @@ def test_residual_comes_back_as_it_went(tmp_path):
     residual = residual_of(ref.random_residual(-1.0))
     write_residual(tmp_path / "r.npz", residual, {"flights": 3})
     found = read_residual(tmp_path / "r.npz")
-    close = functools.partial(np.testing.assert_allclose, rtol=1e-6)
-    jax.tree.map(close, found, residual)
+    chex.assert_trees_all_close(found, residual, rtol=1e-6)
     assert (found.rpm_min, found.rpm_max, found.thrust_sign) == (2500, 10500, -1)
     plain = read_residual(save(tmp_path / "n.npz", residual_arrays(), RESIDUAL_META))
-    assert plain.thrust_sign == -1 and plain.moment[1][0].shape == (32, 3)
+    assert plain.thrust_sign == -1 and plain.moment["Dense_1"]["kernel"].shape == (32, 3)
 
 
 def test_whole_file_leaves_the_old_one_when_writing_fails(tmp_path):
@@ -253,7 +252,8 @@ def test_a_shipped_residual_is_found_by_its_name(tmp_path, monkeypatch):
     """From any folder; a file of that name there comes first."""
     monkeypatch.chdir(tmp_path)
     shipped = read_residual("standin_residual.npz")
-    assert shipped.thrust[0][0].shape[0] == 7 and shipped.moment[-1][0].shape[1] == 3
+    assert shipped.thrust["Dense_0"]["kernel"].shape[0] == 7
+    assert shipped.moment["Dense_1"]["kernel"].shape[1] == 3
     with pytest.raises(InputError, match=r"folder/standin_residual\.npz"):
         read_residual("folder/standin_residual.npz")
     (tmp_path / "standin_residual.npz").write_bytes(b"not a file of arrays")

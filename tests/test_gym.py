@@ -3,6 +3,7 @@
 import functools
 import warnings
 
+import chex
 import jax
 import numpy as np
 import pytest
@@ -178,7 +179,7 @@ def test_gymnaxs_steps_are_those_of_the_race_and_reset_at_the_end():
             np.testing.assert_array_equal(observation, info["final_observation"])
     first, begun = env.reset(keys[5])
     np.testing.assert_allclose(observation, first, atol=1e-6)
-    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-6), state, begun)
+    chex.assert_trees_all_close(state, begun, atol=1e-6)
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
+from quadjax.core.mlp import to_layers
 from quadjax.core.resources import preset_names
 from quadjax.evaluation.evaluate import evaluate
 from quadjax.export.race_source import policy_race
@@ -92,11 +93,12 @@ def test_the_critic_of_a_file_is_scaled_to_the_unit_of_the_reward(tmp_path):
     state = start_state(config, learner, params, initial_policy(config))
     file = Policy.load(path)
     scales = [1.0] * (len(file.value) - 1) + [0.25]
-    for networks in (state.params, state.target, state.ema):
-        for (kernel, bias), (k, b), scale in zip(networks.value, file.value, scales, strict=True):
+    for params in (state.params, state.target, state.ema):
+        layers = to_layers(params["critic"])
+        for (kernel, bias), (k, b), scale in zip(layers, file.value, scales, strict=True):
             np.testing.assert_allclose(kernel, scale * k, rtol=1e-6)
             np.testing.assert_allclose(bias, scale * b, rtol=1e-6)
-    back = policy_of(config, state.params, {})
+    back = policy_of(config, state.params)
     for (kernel, bias), (k, b) in zip(back.value, file.value, strict=True):
         np.testing.assert_allclose(kernel, k, rtol=1e-6)
         np.testing.assert_allclose(bias, b, rtol=1e-6)
@@ -158,7 +160,7 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(training, "PATIENCE", 600.0)
     training.train(config, tmp_path / "run", resume=True)
     saved = Policy.load(tmp_path / "run/policy_last.npz")
-    for (kernel, bias), found in zip(kept[1].policy, saved.layers, strict=True):
+    for (kernel, bias), found in zip(to_layers(kept[1]["actor"]), saved.layers, strict=True):
         np.testing.assert_array_equal(kernel, found[0])
         np.testing.assert_array_equal(bias, found[1])
 

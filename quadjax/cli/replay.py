@@ -70,7 +70,7 @@ def replay(
         opt.refuse("without --vehicle", "residual")
     network = flown = drone = None
     if policy is not None:
-        network = Policy.load(policy)
+        network = Policy.load(policy, race)
         drone, origin = race_of_policy(network, policy, race, track, note)
         flown = policy_race(drone, network, origin, str(policy))
     gates = drone and drone.track

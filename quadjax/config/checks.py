@@ -33,6 +33,8 @@ def check(config: Config) -> None:
     """
     for key, schedule in config.schedules.items():
         _check_schedule(config, key, schedule)
+    if config.network.module and config.network.normalize:
+        refuse("network.normalize", True, "false with network.module")
     _check_effects(config)
     _check_observation(config)
     last = with_scheduled_values(config)

@@ -13,8 +13,11 @@ import dataclasses
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
+import chex
 import jax
 import jax.numpy as jnp
+
+from quadjax.core.errors import InputError
 
 Params = TypeVar("Params")
 State = TypeVar("State")
@@ -47,8 +50,11 @@ def vectorize(environment: Environment[Params, State]) -> Environment[Params, St
     that the compiler's loops use the vector instructions of a CPU.
 
     ``reset`` takes an array of keys, ``step`` an array of actions; ``params`` are shared.
+
+    Raises:
+        InputError: when it is traced, a result of another shape or type than ``Environment`` says.
     """
-    completed = environment.completed
+    environment, completed = _checked(environment), environment.completed
     return dataclasses.replace(
         environment,
         reset=jax.vmap(environment.reset, in_axes=(None, 0), out_axes=-1),
@@ -56,6 +62,33 @@ def vectorize(environment: Environment[Params, State]) -> Environment[Params, St
         step=jax.vmap(environment.step, in_axes=(None, -1, 0), out_axes=(-1, 0, 0, 0)),
         completed=None if completed is None else jax.vmap(completed, in_axes=-1),
     )
+
+
+def _checked(environment: Environment[Params, State]) -> Environment[Params, State]:
+    """The environment, whose observation and step are checked while they are traced."""
+
+    def check(what: str, value: jax.Array, shape: tuple[int, ...], kind: type) -> jax.Array:
+        how = {"custom_message": what, "exception_type": InputError}
+        chex.assert_shape(value, shape, **how)
+        chex.assert_type(value, kind, **how)
+        return value
+
+    def observe(params: Params, state: State) -> jax.Array:
+        seen = environment.observe(params, state)
+        return check(
+            "the observation of the environment", seen, (environment.observation_size,), float
+        )
+
+    def step(
+        params: Params, state: State, action: jax.Array
+    ) -> tuple[State, jax.Array, jax.Array, jax.Array]:
+        following, reward, terminated, truncated = environment.step(params, state, action)
+        check("the reward of the environment's step", reward, (), float)
+        check("terminated of the environment's step", terminated, (), bool)
+        check("truncated of the environment's step", truncated, (), bool)
+        return following, reward, terminated, truncated
+
+    return dataclasses.replace(environment, observe=observe, step=step)
 
 
 def where_done(done: jax.Array, fresh: State, state: State) -> State:

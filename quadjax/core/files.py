@@ -18,7 +18,7 @@ import numpy as np
 from quadjax.core.errors import InputError, reading, writing
 
 TEMPORARY = ".writing-"  # prefix of temporary files
-ARRAYS = re.compile(r"(\w+_)?(kernel|bias)_\d{1,3}|log_std")  # that an .npz file may hold
+ARRAYS = re.compile(r"(\w+_)?(kernel|bias)_\d{1,3}|log_std|(actor|critic)(/\w+)+")  # of a file
 MAX_WEIGHT = 1e6  # of a network: products over some layers stay finite in single precision
 MAX_BYTES = 2**28  # of one array of an .npz file, and of a text file
 
@@ -150,7 +150,8 @@ def read_npz(
     """Read an ``.npz`` file that ``write_npz`` or plain NumPy wrote.
 
     Only the arrays that the formats define are read (``kernel_N``, ``bias_N`` with any prefix,
-    ``log_std`` and ``names``), and only up to ``MAX_BYTES`` each. Nothing is unpickled.
+    ``log_std``, parameters ``actor/..`` and ``critic/..``, and ``names``), and only up to
+    ``MAX_BYTES`` each. Nothing is unpickled.
 
     Args:
         path: the file.

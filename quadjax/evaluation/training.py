@@ -211,7 +211,9 @@ def evaluate_seed(
     config = load_config(run / "config.yaml", code=code)
     summary = read_summary(run)
     how = _episodes(config) or {"conditions": "protocols"}
-    flights = evaluate(Policy.load(run / "policy.npz"), config, runs=runs, name=run.name, **how)
+    flights = evaluate(
+        Policy.load(run / "policy.npz", config), config, runs=runs, name=run.name, **how
+    )
     published = published_total(config)
     first = published and first_under(read_metrics(run / "metrics.csv"), published[1])
     seconds, steps = first or (None, None)

@@ -77,6 +77,11 @@ def check_policy(policy: Policy) -> None:
     """
     if policy.vehicle not in MODELS:
         raise InputError(f"vehicle model {policy.vehicle!r} has no C, supported: {list(MODELS)}")
+    if policy.own is not None:
+        raise InputError(
+            f"the policy's network is {policy.own.module}, allowed: a perceptron, without "
+            "network.module"
+        )
     if policy.activation != "relu" and len(policy.layers) > 1:
         raise InputError(
             f"layer 0, row 0 and every hidden row: activation {policy.activation!r} is "

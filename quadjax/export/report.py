@@ -24,7 +24,8 @@ def float64_commands(policy: Policy, observations: np.ndarray) -> np.ndarray:
     """Commands (n, 4) of the real-valued policy, in float64."""
     with jax.enable_x64(True):
         layers = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), policy.layers)
-        y = np.asarray(mlp.apply(layers, jnp.asarray(observations, jnp.float64), "relu"))
+        inputs = jnp.asarray(observations, jnp.float64)
+        y = np.asarray(mlp.apply(mlp.to_params(layers), inputs, "relu"))
     low, high = policy.command_low, policy.command_high
     return low + 0.5 * (high - low) * (np.clip(y, -1.0, 1.0) + 1.0)
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from flax import struct
 
-from quadjax.core.mlp import Layers
+from quadjax.core.mlp import Layers, to_layers
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.signals import Rows
 from quadjax.vehicle import motor, racing
@@ -151,8 +151,8 @@ def file_inputs(motion: ModelInputs, rpm_range: tuple[float, float]) -> np.ndarr
 def residual_output(residual: Residual, motion: ModelInputs) -> np.ndarray:
     """Output (n, 4) of the residual networks: az, m/s^2, and moments, N m."""
     inputs = file_inputs(motion, (float(residual.rpm_min), float(residual.rpm_max)))
-    force = float(residual.thrust_sign) * evaluate(residual.thrust, inputs[:, :7])
-    return np.concatenate([force, evaluate(residual.moment, inputs)], axis=1)
+    force = float(residual.thrust_sign) * evaluate(to_layers(residual.thrust), inputs[:, :7])
+    return np.concatenate([force, evaluate(to_layers(residual.moment), inputs)], axis=1)
 
 
 def evaluate(layers: Layers, inputs: np.ndarray) -> np.ndarray:

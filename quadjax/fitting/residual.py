@@ -25,7 +25,6 @@ so that the network does not extrapolate a slope.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import combinations, product
 
 import jax
@@ -33,6 +32,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core import mlp
+from quadjax.core.mlp import Layers
 from quadjax.fitting.axes import nominal_error
 from quadjax.fitting.config import ResidualConfig
 from quadjax.fitting.nominal import Constants, evaluate, file_inputs
@@ -48,7 +48,7 @@ from quadjax.fitting.residual_training import (
 )
 from quadjax.fitting.samples import ALL, LeftOut, Samples, Split
 from quadjax.vehicle.motor import MotorConstants
-from quadjax.vehicle.residual import Layers, Residual
+from quadjax.vehicle.residual import Residual
 
 SAMPLE_RATE = 50.0  # Hz, of the rows that networks are trained on
 MARGIN = 0.5  # range beyond the logs where the output stays constant
@@ -95,7 +95,7 @@ def zero_residual(base: MotorConstants) -> ResidualFit:
 def _residual(base: MotorConstants, networks: Sequence[Layers]) -> Residual:
     thrust, moment = networks
     rpm_min, rpm_max, sign = (jnp.float32(x) for x in (base.rpm_min, base.rpm_max, 1.0))
-    return Residual(thrust, moment, rpm_min, rpm_max, sign)
+    return Residual(mlp.to_params(thrust), mlp.to_params(moment), rpm_min, rpm_max, sign)
 
 
 def fit_residuals(
@@ -216,7 +216,7 @@ class _Trained:
 @jax.jit
 def _moments(history: Layers, inputs: jax.Array, errors: jax.Array, weight: jax.Array) -> jax.Array:
     def of_epoch(layers: Layers) -> jax.Array:
-        outputs = jax.vmap(partial(mlp.apply, inputs=inputs))(layers)  # (seed, n, o)
+        outputs = jax.vmap(lambda x: mlp.apply(mlp.to_params(x), inputs))(layers)  # (seed, n, o)
         members = jnp.concatenate([outputs.mean(axis=0)[None], outputs])
         cross, square = (weight * errors * members).sum(1), (weight * members**2).sum(1)
         return jnp.stack([cross, square], axis=-1)
@@ -316,7 +316,7 @@ class Ensemble:
 @jax.jit
 def _mean_output(layers: Layers, inputs: jax.Array) -> jax.Array:
     """Mean output (n, o) of an ensemble of networks, leaves (seed, ..)."""
-    return jax.vmap(partial(mlp.apply, inputs=inputs))(layers).mean(axis=0)
+    return jax.vmap(lambda x: mlp.apply(mlp.to_params(x), inputs))(layers).mean(axis=0)
 
 
 def _distill(

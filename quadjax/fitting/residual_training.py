@@ -15,8 +15,8 @@ import optax
 from jax.nn.initializers import he_normal
 
 from quadjax.core import mlp
+from quadjax.core.mlp import Layers
 from quadjax.fitting.nominal import AXES
-from quadjax.vehicle.residual import Layers
 
 PADDING = 512  # numbers of rows are padded to multiples of it, so that fits share programs
 HIDDEN = 32
@@ -145,7 +145,7 @@ def _train(
         def loss(layers: Layers, part: Rows, key: jax.Array) -> jax.Array:
             inputs, targets, weights = part
             inputs, targets = _augmented(network, inputs, targets, mirror, key)
-            square = weights * (mlp.apply(layers, inputs) - targets) ** 2
+            square = weights * (mlp.apply(mlp.to_params(layers), inputs) - targets) ** 2
             return square.mean() + how.decay * (layers[-1][0] ** 2).sum()
 
         length = rows[0].shape[0]

@@ -19,8 +19,10 @@ import optax
 from flax import struct
 
 from quadjax.core.environment import Environment
+from quadjax.core.mlp import Params
 from quadjax.core.sections import Field, Fraction, Positive, Unit, model_validator
 from quadjax.core.traced import register
+from quadjax.learners.networks import ActorCritic, mean_action, predict_value
 from quadjax.learners.rollout import (
     Steps,
     Task,
@@ -42,11 +44,11 @@ from quadjax.learners.section import (
     RewardScale,
     check_divisor,
 )
-from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, TrainState
+from quadjax.learners.state import Learner, Metrics, TrainState
 
 MAX_RESET_INTERVAL = 64  # steps between two draws of the states that episodes restart from
 EPSILON = 1e-5  # of Adam, as in Stable-Baselines3
-Carry = tuple[ActorCritic, optax.OptState]
+Carry = tuple[Params, optax.OptState]
 
 
 @register
@@ -102,9 +104,9 @@ class PPO(LearnerSection):
         check_divisor("num_minibatches", self.num_minibatches, blocks, "blocks of an update")
         return self
 
-    def make(self, environment: Environment, networks: Networks, num_updates: int) -> Learner:
+    def make(self, environment: Environment, network: ActorCritic, num_updates: int) -> Learner:
         """The learner on an environment; see ``LearnerSection.make``."""
-        return bind(self, self.rollout_length, environment, networks, _init, _update)
+        return bind(self, self.rollout_length, environment, network, _init, _update)
 
 
 def _init(task: Task, hyper: PPO, key: jax.Array) -> TrainState:
@@ -116,10 +118,10 @@ def _update(task: Task, hyper: PPO, state: TrainState) -> tuple[TrainState, Metr
     key, rollout_key, shuffle_key = jax.random.split(state.key, 3)
     environment_state, (steps, log_prob) = collect(task, hyper, state, rollout_key)
     # One time step after another: hidden layers of all steps at once would need much memory.
-    value = jax.lax.map(lambda x: task.networks.value(state.params, x), steps.observation)
+    values = jax.lax.map(lambda x: predict_value(task.network, state.params, x), steps.observation)
     target = td_lambda(steps, hyper.discount, hyper.gae_lambda, hyper.reward_scale)
-    batch = Batch(steps.observation, steps.action, log_prob, target - value, target)
-    step = functools.partial(_gradient_step, task.networks, hyper)
+    batch = Batch(steps.observation, steps.action, log_prob, target - values, target)
+    step = functools.partial(_gradient_step, task.network, hyper)
     sizes = (hyper.num_epochs, hyper.num_minibatches, hyper.shuffle_block or hyper.rollout_length)
     start = (state.params, state.optimizer)
     (params, optimizer), metrics = run_epochs(step, start, batch, shuffle_key, *sizes)
@@ -129,7 +131,7 @@ def _update(task: Task, hyper: PPO, state: TrainState) -> tuple[TrainState, Metr
         **step_metrics(steps, jnp.mean(batch.advantage**2), target),
         "kl_max": jnp.max(metrics["approx_kl"]),
         "learning_rate": jnp.asarray(hyper.learning_rate),
-        "std": jnp.mean(jnp.exp(state.params.log_std)),
+        "std": jnp.mean(jnp.exp(state.params["log_std"])),
     }
 
 
@@ -159,14 +161,14 @@ def collect(
     """
     total, params = hyper.rollout_length, state.params
     length = max(d for d in range(1, min(total, MAX_RESET_INTERVAL) + 1) if total % d == 0)
-    shape = (length, hyper.num_envs, task.networks.action_size)
+    shape = (length, hyper.num_envs, task.network.action_size)
 
     def interval(state: Any, key: jax.Array) -> tuple[Any, tuple[Steps, jax.Array]]:
         fresh, noise = draw(task, key, shape)
-        deviation = jnp.broadcast_to(jnp.exp(params.log_std), shape) * noise
+        deviation = jnp.broadcast_to(jnp.exp(params["log_std"]), shape) * noise
         state, steps = rollout(task, params, params, state, fresh, deviation)
         # The density of an action about its mean is that of its noise about zero.
-        return state, (steps, log_probability(deviation, jnp.zeros(shape), params.log_std))
+        return state, (steps, log_probability(deviation, jnp.zeros(shape), params["log_std"]))
 
     keys = jax.random.split(key, total // length)
     environment_state, steps = jax.lax.scan(interval, state.environment, keys)
@@ -174,19 +176,19 @@ def collect(
 
 
 def _gradient_step(
-    networks: Networks, hyper: PPO, carry: Carry, batch: Batch
+    network: ActorCritic, hyper: PPO, carry: Carry, batch: Batch
 ) -> tuple[Carry, Metrics]:
     """One step of Adam.
 
     A minibatch whose KL divergence is above the limit or whose gradient is not finite changes
     neither the policy nor the value.
     """
-    gradient, metrics = jax.grad(loss, has_aux=True)(carry[0], networks, hyper, batch)
-    actor = (gradient.policy, gradient.log_std)
-    norm = optax.tree.norm(actor if hyper.separate_grad_clip else gradient)
+    gradient, metrics = jax.grad(loss, has_aux=True)(carry[0], network, hyper, batch)
+    critic = {"critic": gradient["critic"]}
+    policy = {name: x for name, x in gradient.items() if name not in critic}
+    norm = optax.tree.norm(policy if hyper.separate_grad_clip else gradient)
     if hyper.separate_grad_clip:
-        (policy, log_std), value = (clip(x, hyper.max_grad_norm) for x in (actor, gradient.value))
-        gradient = ActorCritic(policy=policy, log_std=log_std, value=value)
+        gradient = clip(policy, hyper.max_grad_norm) | clip(critic, hyper.max_grad_norm)
     else:
         gradient = clip(gradient, hyper.max_grad_norm)
     accepted = True if hyper.max_kl is None else metrics["approx_kl"] <= hyper.max_kl
@@ -200,7 +202,7 @@ def _optimizer(hyper: PPO) -> optax.GradientTransformation:
 
 
 def loss(
-    params: ActorCritic, networks: Networks, hyper: PPO, batch: Batch
+    params: Params, network: ActorCritic, hyper: PPO, batch: Batch
 ) -> tuple[jax.Array, Metrics]:
     """PPO's loss () of one minibatch, and its parts (Schulman et al., 2017, eq. 7 and 9).
 
@@ -209,16 +211,16 @@ def loss(
     minibatch, and ``G`` the value target. ``approx_kl`` is the estimator
     ``mean((r - 1) - log r)`` of KL(old, new) (Schulman, "Approximating KL divergence", 2020).
     """
-    mean = networks.mean(params, batch.observation)
-    log_ratio = log_probability(batch.action, mean, params.log_std) - batch.log_prob
+    mean, log_std = mean_action(network, params, batch.observation), params["log_std"]
+    log_ratio = log_probability(batch.action, mean, log_std) - batch.log_prob
     ratio = jnp.exp(log_ratio)
     advantage = batch.advantage - jnp.mean(batch.advantage)
     advantage = advantage / (jnp.std(batch.advantage) + 1e-8)
     clipped = jnp.clip(ratio, 1.0 - hyper.clip_range, 1.0 + hyper.clip_range)
     policy_loss = -jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
-    value = networks.value(params, batch.observation)
-    value_loss = jnp.mean((value - batch.target) ** 2)
-    entropy = jnp.sum(params.log_std + 0.5 * jnp.log(2.0 * jnp.pi * jnp.e))
+    error = predict_value(network, params, batch.observation) - batch.target
+    value_loss = jnp.mean(error**2)
+    entropy = jnp.sum(log_std + 0.5 * jnp.log(2.0 * jnp.pi * jnp.e))
     total = policy_loss + hyper.value_coefficient * value_loss - hyper.entropy_coefficient * entropy
     return total, {
         "policy_loss": policy_loss,

@@ -11,10 +11,12 @@ from flax import struct
 
 from quadjax.core.environment import Environment, vectorize, where_done
 from quadjax.core.gradients import Scalar
+from quadjax.core.mlp import Params
 from quadjax.core.sharing import cached
 from quadjax.core.traced import as_leaves
+from quadjax.learners.networks import ActorCritic, initial_params, mean_action, predict_value
 from quadjax.learners.parallel import AXIS, constrain
-from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, TrainState, Update
+from quadjax.learners.state import Learner, Metrics, TrainState, Update
 
 Carry = TypeVar("Carry")
 Results = TypeVar("Results")
@@ -38,7 +40,7 @@ class Task:
     """What a learner is bound to, and the present numbers of the environment."""
 
     environment: Environment  # of many agents: states are batched along the last axis
-    networks: Networks
+    network: ActorCritic
     env_params: Any  # traced
 
 
@@ -46,41 +48,42 @@ def bind(
     section: Any,
     length: int,
     environment: Environment,
-    networks: Networks,
+    network: ActorCritic,
     init: Callable[[Task, Any, jax.Array], TrainState],
     update: Callable[[Task, Any, TrainState], tuple[TrainState, Metrics]],
 ) -> Learner:
     """The learner of a section, whose updates have a ``length`` of steps in ``num_envs`` agents.
 
     ``init(task, hyper, key)`` and ``update(task, hyper, state)`` are those of the algorithm.
-    Learners of one algorithm with the same environment and networks share their functions, which
+    Learners of one algorithm with the same environment and network share their functions, which
     JAX traces once.
     """
-    functions = _bound(environment, networks, init, update)
+    functions = _bound(environment, network, init, update)
     return Learner(*functions, as_leaves(section), section.num_envs * length)
 
 
 @cached
 def _bound(
     environment: Environment,
-    networks: Networks,
+    network: ActorCritic,
     init: Callable[[Task, Any, jax.Array], TrainState],
     update: Callable[[Task, Any, TrainState], tuple[TrainState, Metrics]],
 ) -> tuple[Callable[[Any, Any, jax.Array], TrainState], Update]:
     """``init`` and ``update`` of a learner."""
     batched = vectorize(environment)
     return (
-        lambda hyper, params, key: init(Task(batched, networks, params), hyper, key),
-        lambda hyper, params, state: update(Task(batched, networks, params), hyper, state),
+        lambda hyper, params, key: init(Task(batched, network, params), hyper, key),
+        lambda hyper, params, state: update(Task(batched, network, params), hyper, state),
     )
 
 
 def first_state(task: Task, key: jax.Array, num_envs: int, log_std: Scalar) -> TrainState:
     """A run's first state, without an optimizer, a target and a moving average."""
     network_key, reset_key, key = jax.random.split(key, 3)
-    params, keys = task.networks.init(network_key), jax.random.split(reset_key, num_envs)
+    params = initial_params(task.network, network_key, task.environment.observation_size)
+    keys = jax.random.split(reset_key, num_envs)
     return TrainState(
-        params=dataclasses.replace(params, log_std=jnp.full_like(params.log_std, log_std)),
+        params={**params, "log_std": jnp.full_like(params["log_std"], log_std)},
         optimizer=(),
         target=None,
         environment=task.environment.reset(task.env_params, keys),
@@ -99,8 +102,8 @@ def draw(task: Task, key: jax.Array, shape: tuple[int, int, int]) -> tuple[Any, 
 
 def rollout(
     task: Task,
-    actor: ActorCritic,
-    critic: ActorCritic,
+    actor: Params,
+    critic: Params,
     state: Any,
     fresh: Any,
     noise: jax.Array,
@@ -109,7 +112,7 @@ def rollout(
     """Simulate every environment with noise on its actions; differentiable if they are.
 
     Args:
-        task: the environment and the networks.
+        task: the environment and the network.
         actor: parameters of the policy.
         critic: parameters whose value ``next_value`` is.
         state: environment states.
@@ -121,19 +124,19 @@ def rollout(
         The environment states after the last step, reset where an episode ended, and the steps. No
         gradient flows through their observations and actions.
     """
-    environment, networks, params = task.environment, task.networks, task.env_params
+    environment, network, params = task.environment, task.network, task.env_params
 
     def step(state: Any, noise: jax.Array) -> tuple[Any, Steps]:
         state = through(state)
         observation = environment.observe(params, state)
-        action = networks.mean(actor, observation) + noise
+        action = mean_action(network, actor, observation) + noise
         following, reward, terminated, truncated = environment.step(params, state, action)
         completed = environment.completed
         steps = Steps(
             observation=jax.lax.stop_gradient(observation),
             action=jax.lax.stop_gradient(action),
             reward=reward,
-            next_value=networks.value(critic, environment.observe(params, following)),
+            next_value=predict_value(network, critic, environment.observe(params, following)),
             terminated=terminated,
             truncated=truncated,
             completed=None if completed is None else completed(state, following),

@@ -11,6 +11,8 @@ import numpy as np
 
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError, close_match
+from quadjax.core.imports import load_object
+from quadjax.core.mlp import Params
 from quadjax.core.sections import (
     LARGEST,
     MAX_SEED,
@@ -22,9 +24,10 @@ from quadjax.core.sections import (
     validate,
 )
 from quadjax.learners.loop import Plan, Row, plan_chunks, train_chunks
+from quadjax.learners.networks import ActorCritic, mean_action
 from quadjax.learners.parallel import choose_mesh, compile_chunk, place
 from quadjax.learners.schedules import Schedule, schedule_learner
-from quadjax.learners.state import ActorCritic, Learner, Networks
+from quadjax.learners.state import Learner
 
 CHUNKS = 20  # of a run, about: how often progress is reported
 MAX_ENVS = 1_000_000
@@ -46,6 +49,11 @@ RewardScale = Annotated[
 class Network(Section):
     """Policy and value networks: two separate multilayer perceptrons of the same widths."""
 
+    module: Annotated[str | None, Code()] = Field(
+        None,
+        description="module:Class of your own quadjax.ActorCritic, which is made with hidden and "
+        "activation; null: perceptrons",
+    )
     hidden: tuple[Width, ...] = Field(
         (64, 64, 64), min_length=1, max_length=16, description="units of each hidden layer"
     )
@@ -58,6 +66,21 @@ class Network(Section):
         "file has plain units in any case",
     )
 
+    def make(self, action_size: int, **fields: Any) -> ActorCritic:
+        """The Flax module of both networks.
+
+        Args:
+            action_size: numbers of an action.
+            fields: further fields of ``ActorCritic``.
+
+        Raises:
+            InputError: ``module`` names no ``ActorCritic``, or one that cannot be made.
+        """
+        kind = ActorCritic if self.module is None else load_object(self.module, "network.module")
+        if not (isinstance(kind, type) and issubclass(kind, ActorCritic)):
+            raise InputError(f"network.module is {self.module}, expected a quadjax.ActorCritic")
+        return kind(action_size, self.hidden, self.activation, **fields)
+
 
 Schedules = Mapping[str, Schedule | Sequence[float | Literal["value"]]]
 
@@ -67,7 +90,7 @@ class TrainResult:
     """The result of a training run."""
 
     policy: Callable[[jax.Array], jax.Array]  # observation (..., n) -> mean action (..., k)
-    parameters: ActorCritic  # of the policy and the value; averaged, where the learner averages
+    parameters: Params  # of the ``ActorCritic``; averaged, where the learner averages
     metrics: dict[str, np.ndarray]  # (updates,) each
     steps: int  # environment steps done
 
@@ -94,12 +117,12 @@ class LearnerSection(Section):
         "", description="ppo, shac, or module:Class of a learner of your own"
     )
 
-    def make(self, environment: Environment, networks: Networks, num_updates: int) -> Learner:
+    def make(self, environment: Environment, network: ActorCritic, num_updates: int) -> Learner:
         """The learner on an environment of one agent, for a number of updates."""
         raise NotImplementedError
 
     def planned(
-        self, environment: Environment, networks: Networks, steps: int, steps_per_chunk: int
+        self, environment: Environment, network: ActorCritic, steps: int, steps_per_chunk: int
     ) -> tuple[Learner, Plan]:
         """The learner for a run of a number of environment steps, and how these are divided.
 
@@ -107,14 +130,14 @@ class LearnerSection(Section):
             InputError: ``make`` returns no learner.
         """
         # Made for one update, to read the steps of an update: the number of updates follows.
-        first = self.make(environment, networks, 1)
+        first = self.make(environment, network, 1)
         if not isinstance(first, Learner):
             raise InputError(
                 f"learner.algorithm {self.algorithm}: make() gives a {type(first).__name__}, "
                 "expected a quadjax.Learner"
             )
         plan = plan_chunks(steps, steps_per_chunk, first.steps_per_update)
-        return self.make(environment, networks, plan.updates), plan
+        return self.make(environment, network, plan.updates), plan
 
     def train(
         self,
@@ -122,7 +145,7 @@ class LearnerSection(Section):
         params: Any,
         steps: int,
         seed: int = 0,
-        network: Network | Networks | None = None,
+        network: Network | ActorCritic | None = None,
         schedules: Schedules | None = None,
         progress: Callable[[Row], None] | None = None,
     ) -> TrainResult:
@@ -136,8 +159,8 @@ class LearnerSection(Section):
             params: traced parameters of the environment.
             steps: environment steps of the run, at least; a whole number of updates.
             seed: seed of all random numbers.
-            network: hidden layers of policy and value, or networks with the user's own functions;
-                ``normalize``, in units of a race, has no effect.
+            network: hidden layers of policy and value, or a module of the user's own, whose
+                ``clip_mean`` is the learner's; ``normalize``, in units of a race, has no effect.
             schedules: numbers that change during training: a ``Schedule``, or only its values, by
                 the name of a hyperparameter or the dotted path of a leaf of ``params``, such as
                 ``{"learning_rate": [3e-3, 0.0], "reward.gate": Schedule(linear=(0, 10))}``.
@@ -152,14 +175,16 @@ class LearnerSection(Section):
         """
         check_integer("steps", steps, 1, 10**12)
         check_integer("seed", seed, 0, MAX_SEED)
-        networks = self._networks(environment, network or Network())
-        learner, plan = self.planned(environment, networks, steps, max(1, steps // CHUNKS))
+        if not isinstance(network, ActorCritic):
+            network = (network or Network()).make(environment.action_size)
+        network = network.clone(clip_mean=self.noise_on == "clipped_mean")
+        learner, plan = self.planned(environment, network, steps, max(1, steps // CHUNKS))
 
         def numbers_at(key: str, value: float | None) -> tuple[Any, Any]:
             name = key.removeprefix("learner.")
             if name in type(self).model_fields:
                 changed = self if value is None else self.replace(**{name: value})
-                return changed.make(environment, networks, plan.updates).hyper, params
+                return changed.make(environment, network, plan.updates).hyper, params
             return learner.hyper, _with_leaf(params, key, value)
 
         sections = {
@@ -180,18 +205,11 @@ class LearnerSection(Section):
                 progress({"seconds": time.monotonic() - started} | latest.row)
         parameters = jax.device_get(state.evaluated)
         return TrainResult(
-            policy=jax.jit(lambda observation: networks.mean(parameters, observation)),
+            policy=jax.jit(lambda observation: mean_action(network, parameters, observation)),
             parameters=parameters,
             metrics={name: np.concatenate([h[name] for h in history]) for name in history[0]},
             steps=plan.steps,
         )
-
-    def _networks(self, environment: Environment, network: Network | Networks) -> Networks:
-        """The networks for an environment; ``Networks`` of the user are returned unchanged."""
-        if not isinstance(network, Network):
-            return network
-        sizes = environment.observation_size, environment.action_size, network.hidden
-        return Networks(*sizes, network.activation, self.noise_on == "clipped_mean")
 
 
 def _with_leaf(params: Any, key: str, value: float | None) -> Any:

@@ -20,8 +20,10 @@ from jax.sharding import PartitionSpec
 
 from quadjax.core.environment import Environment
 from quadjax.core.gradients import Scalar, scale_and_clip_cotangent
+from quadjax.core.mlp import Params
 from quadjax.core.sections import Field, Fraction, Positive, Unit, model_validator
 from quadjax.core.traced import register
+from quadjax.learners.networks import ActorCritic, predict_value
 from quadjax.learners.parallel import AXIS, SHARED, split_last, sum_over_devices
 from quadjax.learners.rollout import (
     Steps,
@@ -44,7 +46,7 @@ from quadjax.learners.section import (
     RewardScale,
     check_divisor,
 )
-from quadjax.learners.state import ActorCritic, Learner, Metrics, Networks, TrainState
+from quadjax.learners.state import Learner, Metrics, TrainState
 
 TARGET_RATE = 0.2  # part of the distance to the critic that its target moves in an update
 MUON_BETA = 0.9  # decay of the momentum of Muon
@@ -112,9 +114,9 @@ class SHAC(LearnerSection):
         check_divisor("critic_minibatches", self.critic_minibatches, self.num_envs, "num_envs")
         return self
 
-    def make(self, environment: Environment, networks: Networks, num_updates: int) -> Learner:
+    def make(self, environment: Environment, network: ActorCritic, num_updates: int) -> Learner:
         """The learner on a differentiable environment; see ``LearnerSection.make``."""
-        return bind(self, self.horizon, environment, networks, _init, _update)
+        return bind(self, self.horizon, environment, network, _init, _update)
 
 
 def _adam(hyper: SHAC, rate: Scalar) -> optax.GradientTransformation:
@@ -140,7 +142,7 @@ def _init(task: Task, hyper: SHAC, key: jax.Array) -> TrainState:
     params, adam, optimizer = state.params, _adam(hyper, 0.0), make_policy_optimizer(hyper, 0.0)
     return dataclasses.replace(
         state,
-        optimizer=(optimizer.init(params.policy), adam.init(params.value)),
+        optimizer=(optimizer.init(params["actor"]), adam.init(params["critic"])),
         target=jax.tree.map(jnp.copy, params),
         ema=jax.tree.map(jnp.copy, params),
     )
@@ -149,17 +151,19 @@ def _init(task: Task, hyper: SHAC, key: jax.Array) -> TrainState:
 def _update(task: Task, hyper: SHAC, state: TrainState) -> tuple[TrainState, Metrics]:
     key, rollout_key, shuffle_key = jax.random.split(state.key, 3)
     loss, gradient, environment_state, steps = collect_gradient(task, hyper, state, rollout_key)
-    carry, clipped = (state.params.policy, state.optimizer[0]), clip(gradient, hyper.max_grad_norm)
     optimizer = make_policy_optimizer(hyper, hyper.learning_rate)
-    (policy, policy_optimizer), skipped = descend(optimizer, clipped, carry)
-    value, value_optimizer, critic_metrics = fit_critic(task, hyper, state, steps, shuffle_key)
-    log_std = jnp.full_like(state.params.log_std, jnp.log(hyper.std))
-    params = ActorCritic(policy=policy, log_std=log_std, value=value)
+    carry = (state.params["actor"], state.optimizer[0])
+    (actor, actor_optimizer), skipped = descend(
+        optimizer, clip(gradient, hyper.max_grad_norm), carry
+    )
+    critic, critic_optimizer, critic_metrics = fit_critic(task, hyper, state, steps, shuffle_key)
+    log_std = jnp.full_like(state.params["log_std"], jnp.log(hyper.std))
+    params = {"actor": actor, "critic": critic, "log_std": log_std}
     following = state.following(
         environment_state,
         key,
         params=params,
-        optimizer=(policy_optimizer, value_optimizer),
+        optimizer=(actor_optimizer, critic_optimizer),
         target=optax.incremental_update(params, state.target, jnp.float32(TARGET_RATE)),
         ema=_moving_average(hyper, state, params),
     )
@@ -184,7 +188,7 @@ def collect_gradient(
         The loss (), its gradient, the environment states after the rollout, and its steps, without
         gradients.
     """
-    shape = (hyper.horizon, hyper.num_envs, task.networks.action_size)
+    shape = (hyper.horizon, hyper.num_envs, task.network.action_size)
     fresh, noise = draw(task, key, shape)
 
     def differentiate(shared: Any, states: Any, noise: jax.Array) -> tuple[Any, Any]:
@@ -195,12 +199,12 @@ def collect_gradient(
         def through(state: Any) -> Any:
             return scale_and_clip_cotangent(state, hyper.cotangent_decay, hyper.cotangent_clip)
 
-        def loss(policy: Any) -> tuple[jax.Array, tuple[Any, Steps]]:
-            actor = dataclasses.replace(params, policy=policy)
-            end, steps = rollout(here, actor, target_critic, state, fresh, noise, through)
+        def loss(actor: Params) -> tuple[jax.Array, tuple[Any, Steps]]:
+            policy = {**params, "actor": actor}
+            end, steps = rollout(here, policy, target_critic, state, fresh, noise, through)
             return -total_return(steps, hyper), (end, steps)
 
-        (value, rest), gradient = jax.value_and_grad(loss, has_aux=True)(params.policy)
+        (value, rest), gradient = jax.value_and_grad(loss, has_aux=True)(params["actor"])
         return (value, gradient), rest
 
     split, time_first = split_last(state.environment), PartitionSpec(None, AXIS)
@@ -246,23 +250,22 @@ def fit_critic(
     targets = td_lambda(steps, hyper.discount, hyper.td_lambda, hyper.reward_scale)
     adam = _adam(hyper, hyper.critic_learning_rate)
 
-    def loss(value: Any, observation: jax.Array, target: jax.Array) -> jax.Array:
-        params = dataclasses.replace(state.params, value=value)
-        predicted = task.networks.value(params, observation)
+    def loss(critic: Params, observation: jax.Array, target: jax.Array) -> jax.Array:
+        predicted = predict_value(task.network, {**state.params, "critic": critic}, observation)
         return jnp.mean((predicted - target) ** 2)
 
     def step(carry: Any, rows: tuple[jax.Array, jax.Array]) -> tuple[Any, jax.Array]:
         error, gradient = jax.value_and_grad(loss)(carry[0], *rows)
         return descend(adam, clip(gradient, hyper.critic_max_grad_norm), carry)[0], error
 
-    start, data = (state.params.value, state.optimizer[1]), (steps.observation, targets)
+    start, data = (state.params["critic"], state.optimizer[1]), (steps.observation, targets)
     sizes = (hyper.critic_epochs, hyper.critic_minibatches, hyper.horizon)
-    (value, optimizer), errors = run_epochs(step, start, data, key, *sizes)
+    (critic, optimizer), errors = run_epochs(step, start, data, key, *sizes)
     metrics = {"value_loss": errors.mean()} | step_metrics(steps, errors[-1].mean(), targets)
-    return value, optimizer, metrics
+    return critic, optimizer, metrics
 
 
-def _moving_average(hyper: SHAC, state: TrainState, params: ActorCritic) -> ActorCritic:
+def _moving_average(hyper: SHAC, state: TrainState, params: Params) -> Params:
     """The exponential moving average of the parameters.
 
     ``(1 - rate) ema + rate params`` with ``rate = max(ema_rate, 20 / (20 + updates))``: the average
@@ -270,4 +273,4 @@ def _moving_average(hyper: SHAC, state: TrainState, params: ActorCritic) -> Acto
     """
     rate = jnp.maximum(hyper.ema_rate, EMA_FRACTION / (EMA_FRACTION + state.update))
     average = optax.incremental_update(params, state.ema, rate)
-    return dataclasses.replace(average, log_std=params.log_std)
+    return {**average, "log_std": params["log_std"]}

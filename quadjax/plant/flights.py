@@ -121,7 +121,7 @@ def plan_logs(
     config: Config, plant: PlantConfig, policy: Path | str, flights: int, laps: int
 ) -> Plan:
     """Flights of a policy file, all with a record of each sample; else as ``plan_race``."""
-    plant, network = plant.replace(control_rate=plant.sample_rate), Policy.load(policy)
+    plant, network = plant.replace(control_rate=plant.sample_rate), Policy.load(policy, config)
     return plan_race(
         config, plant, network, str(policy), lap_count=laps, runs=flights, recorded=flights
     )

@@ -15,6 +15,11 @@ starts with. ``meta`` is a JSON string with
 - ``config``: the full training config;
 - ``residual``: numbers of the residual of the training, whose arrays are in the file (optional).
 
+A policy with a network of the user's own (``network.module``) has, in place of ``kernel_0`` .. and
+of the critic's arrays, those of the Flax parameters, such as ``actor/Dense_0/kernel`` and
+``critic/Dense_0/kernel`` (of the scaled reward), and ``module``, the ``module:Class``, in ``meta``.
+The class is imported only if the config that the user names has it.
+
 Files of ``quadjax-policy/1`` remain readable: they have ``observation`` instead of ``layout`` and
 no ``config``.
 """
@@ -24,14 +29,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite, read_layers, read_npz, write_npz
+from quadjax.core.mlp import to_params
 from quadjax.core.resources import policy_file
 from quadjax.core.sections import LARGEST, Field, Section, validate
+from quadjax.learners.networks import ActorCritic
 from quadjax.policy import inference
+from quadjax.policy.inference import PolicyParams
 from quadjax.policy.network_files import SUFFIXES, Layers
+from quadjax.policy.own_network import OwnNetwork, read_own_network
 from quadjax.policy.release_1 import layout_of_release_1
 from quadjax.race.layout import Layout
 from quadjax.race.observations import DISTURBANCES
@@ -77,6 +88,7 @@ class Policy:
         value: layers of the critic, (observation,) -> (1,), in the reward's own unit.
         config: the full training config, as plain dicts and lists; None where unknown.
         residual: the residual networks of the training, unless they come with the package.
+        own: a network of the user's own class, in place of ``layers`` and ``value``.
     """
 
     layers: Layers
@@ -91,6 +103,7 @@ class Policy:
     value: Layers | None = None
     config: dict[str, Any] | None = None
     residual: Residual | None = None
+    own: OwnNetwork | None = None
 
     @classmethod
     def load(
@@ -108,7 +121,8 @@ class Policy:
                 or a model of Stable-Baselines3 (``.zip``), a PyTorch state dict (``.pt``, ``.pth``)
                 or C arrays (``.c``, ``.h``), which need a config. Nothing in them is executed.
             config: of the race that a file of another project was trained in: a config, a preset's
-                name or a YAML file. A policy file does not need it.
+                name or a YAML file. A policy file needs it only for a network of the user's own
+                class, which the config has to name.
             activation: of an imported network whose file has none, "relu" or "tanh".
             std: standard deviation of the noise of an imported network whose file has none.
 
@@ -125,10 +139,37 @@ class Policy:
                     "the network was trained in"
                 )
             return policy_of(path, config, activation, std)
-        return _read(path)
+        policy = _read(path)
+        if policy.own is None or config is None:
+            return policy
+        race = load_config(config) if isinstance(config, Path | str) else config
+        sizes, clip_mean = (policy.layout.size, len(policy.log_std)), policy.clip_mean
+        own = policy.own.bind(path, sizes, clip_mean, race.network)
+        return dataclasses.replace(policy, own=own)
+
+    @property
+    def clip_mean(self) -> bool:
+        """Whether noise is added to the clipped mean."""
+        return self.noise_on == "clipped_mean"
+
+    def on_device(self) -> PolicyParams:
+        """The numbers of the policy on the device, as ``quadjax.policy.inference`` takes them.
+
+        Raises:
+            InputError: a network of the user's own whose class no config has named.
+        """
+        if self.own is not None:
+            network, actor = self.own.bound(), self.own.params["actor"]
+        else:
+            actor, hidden = to_params(self.layers), tuple(len(x) for _, x in self.layers[:-1])
+            network = ActorCritic(len(self.log_std), hidden, self.activation, self.clip_mean)
+        params = {"actor": actor, "log_std": self.log_std}
+        return PolicyParams(jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params), network)
 
     def describe(self) -> str:
-        """The widths of the layers and the activation, such as ``24-64-64-4, relu``."""
+        """Widths of the layers and activation, such as ``24-64-64-4, relu``, or the own class."""
+        if self.own is not None:
+            return self.own.module
         sizes = [self.layers[0][0].shape[0], *(len(bias) for _, bias in self.layers)]
         return f"{'-'.join(map(str, sizes))}, {self.activation}"
 
@@ -140,6 +181,9 @@ class Policy:
                 arrays[f"{prefix}kernel_{index}"] = np.asarray(kernel, np.float32)
                 arrays[f"{prefix}bias_{index}"] = np.asarray(bias, np.float32)
         meta = self.meta
+        if self.own is not None:
+            arrays |= self.own.arrays()
+            meta["module"] = self.own.module
         if self.residual is not None:
             more, meta["residual"] = to_arrays(self.residual)
             arrays |= more
@@ -177,23 +221,22 @@ class Policy:
 
     def mean(self, observation: jax.Array) -> jax.Array:
         """The mean action (.., actions) of observations (.., layout.size), clipped to [-1, 1]."""
-        return jax.numpy.clip(
-            inference.mean_action(inference.policy_params(self), observation), -1, 1
-        )
+        return jnp.clip(inference.mean_action(self.on_device(), observation), -1, 1)
 
     def sample(self, observation: jax.Array, key: jax.Array) -> jax.Array:
         """Actions (.., actions) in [-1, 1], drawn with a PRNG key."""
-        params = inference.policy_params(self)
-        shape = (*jax.numpy.shape(observation)[:-1], len(self.log_std))
+        params = self.on_device()
+        shape = (*jnp.shape(observation)[:-1], len(self.log_std))
         noise = jax.random.normal(key, shape)
-        return jax.numpy.clip(inference.act_sampled(params, observation, noise), -1, 1)
+        return jnp.clip(inference.act_sampled(params, observation, noise), -1, 1)
 
 
 def _read(path: Path) -> Policy:
     """The policy of a file of this project."""
     arrays, meta = read_npz(path, FORMATS)
-    layers = tuple(read_layers(path, arrays))
-    actions = layers[-1][0].shape[1]
+    own = read_own_network(path, arrays, meta["module"]) if "module" in meta else None
+    layers = tuple(read_layers(path, arrays)) if own is None else ()
+    actions = layers[-1][0].shape[1] if layers else np.size(arrays.get("log_std", ()))
     values = {key: meta[key] for key in Meta.model_fields if key in meta}
     stated = validate(Meta, values, f"{path}: meta")
     low, high = np.array(stated.command_low), np.array(stated.command_high)
@@ -204,7 +247,7 @@ def _read(path: Path) -> Policy:
             "first below the second"
         )
     layout = _layout(path, meta, low, high)
-    if layers[0][0].shape[0] != layout.size:
+    if layers and layers[0][0].shape[0] != layout.size:
         raise InputError(
             f"{path}: kernel_0 takes {layers[0][0].shape[0]} inputs, but the policy observes "
             f"{layout.size} numbers"
@@ -228,6 +271,7 @@ def _read(path: Path) -> Policy:
         value=_value(path, arrays, layout.size),
         config=config,
         residual=residual,
+        own=own,
     )
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
 from quadjax.policy.file import Policy
-from quadjax.policy.inference import PolicyParams, act_sampled, policy_params
+from quadjax.policy.inference import PolicyParams, act_sampled
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
 from quadjax.race.layout import Layout, delayed, split_name
 from quadjax.race.observation_config import NONE, Observation
@@ -122,7 +122,7 @@ def make_pilot(choices: Choices, params: RaceParams, policy: Policy, determinist
         choices.layout.with_spans(choices.model, params), policy.layout
     )
     numbers = (see_scale, see_offset, act_scale, act_offset, *vehicle, float(not deterministic))
-    return Pilot(policy_params(policy), *(jnp.asarray(x, jnp.float32) for x in numbers))
+    return Pilot(policy.on_device(), *(jnp.asarray(x, jnp.float32) for x in numbers))
 
 
 def _observation_scale(environment: Layout, training: Layout) -> Ranges:

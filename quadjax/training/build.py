@@ -13,19 +13,21 @@ from quadjax.config.scales import race_scales
 from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
-from quadjax.core.mlp import Layer
+from quadjax.core.mlp import Layers, Params, to_layers, to_params
 from quadjax.learners.loop import Plan
+from quadjax.learners.networks import ActorCritic, initial_params
 from quadjax.learners.schedules import schedule_learner
-from quadjax.learners.state import ActorCritic, Learner, Networks, TrainState
+from quadjax.learners.state import Learner, TrainState
+from quadjax.policy.file import Layers as FileLayers
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
+from quadjax.policy.own_network import OwnNetwork
 from quadjax.race.environment import make_environment, with_critic_constants
 from quadjax.race.types import RaceParams, RaceState
 from quadjax.training.inputs import read_starts
 from quadjax.vehicle.registry import base_model
 from quadjax.vehicle.residual import is_shipped, read_residual
 
-Weights = Sequence[tuple[jax.Array | np.ndarray, jax.Array | np.ndarray]]  # kernels and biases
 REFERENCE_LEG, REFERENCE_TIME = 3.5, 0.43  # m and s, of the paper's track and the Bebop 1
 
 
@@ -44,14 +46,10 @@ def privileged_constants(config: Config) -> tuple[tuple[str, float], ...]:
     return tuple((name, size or 1.0) for name, size in spread.items() if size or every)
 
 
-def make_networks(config: Config) -> Networks:
-    """The networks of a config."""
-    environment = training_environment(config)
-    return Networks(
-        observation_size=environment.observation_size,
-        action_size=environment.action_size,
-        hidden=config.network.hidden,
-        activation=config.network.activation,
+def make_network(config: Config) -> ActorCritic:
+    """The network of a config."""
+    return config.network.make(
+        training_environment(config).action_size,
         clip_mean=config.learner.noise_on == "clipped_mean",
         privileged_size=len(privileged_constants(config)),
     )
@@ -84,14 +82,14 @@ def make_learner(config: Config) -> tuple[Learner[RaceParams], Plan]:
     Raises:
         InputError: a schedule of a key that changes no number, or more than numbers.
     """
-    environment, networks = training_environment(config), make_networks(config)
+    environment, network = training_environment(config), make_network(config)
     steps, every, schedules = config.run.steps, config.run.evaluate_every, config.schedules
-    learner, plan = config.learner.planned(environment, networks, steps, every)
+    learner, plan = config.learner.planned(environment, network, steps, every)
     scale = training_params(config).observation_scale  # not scheduled: the policy file has one
 
     def numbers_at(key: str, value: float | None) -> tuple[Any, RaceParams]:
         changed = config if value is None else config.at(key, value)
-        hyper = changed.learner.make(environment, networks, plan.updates).hyper
+        hyper = changed.learner.make(environment, network, plan.updates).hyper
         return hyper, training_params(changed).replace(observation_scale=scale)
 
     return schedule_learner(learner, schedules, numbers_at, plan, steps, config.curriculum), plan
@@ -115,18 +113,18 @@ def start_state(
 ) -> TrainState:
     """A run's first state, with the policy ``initial`` if there is one.
 
-    The target and the moving average of the networks, where there are any, start from it too.
+    The target and the moving average of the parameters, where there are any, start from it too.
     """
     state = jax.jit(learner.init)(learner.hyper, params, jax.random.key(config.seed))
     if initial is None:
         return state
-    networks = with_policy(state.params, initial, reward_scale(config), input_scale(config))
+    start = with_policy(state.params, initial, reward_scale(config), input_scale(config))
     copies = {
-        name: jax.tree.map(jnp.copy, networks)
+        name: jax.tree.map(jnp.copy, start)
         for name in ("target", "ema")
         if getattr(state, name) is not None
     }
-    return dataclasses.replace(state, params=networks, **copies)
+    return dataclasses.replace(state, params=start, **copies)
 
 
 def reward_scale(config: Config) -> float:
@@ -142,16 +140,17 @@ def initial_policy(config: Config) -> Policy | None:
     """
     if config.run.initial_policy is None:
         return None
-    policy = Policy.load(config.run.initial_policy)
+    policy = Policy.load(config.run.initial_policy, config)
     widths = [int(kernel.shape[1]) for kernel, _ in policy.layers[:-1]]
     wanted = list(config.network.hidden)
     critic_widths = (
         wanted if policy.value is None else [int(k.shape[1]) for k, _ in policy.value[:-1]]
     )
     for name, value, allowed in (
+        ("network", policy.own.module if policy.own else None, config.network.module),
         ("vehicle", policy.vehicle, base_model(config.vehicle.model).name),
         ("observation", list(policy.layout.names), list(make_choices(config).layout.names)),
-        ("hidden widths", widths, wanted),
+        ("hidden widths", widths, wanted if policy.own is None else []),
         ("hidden widths of the value", critic_widths, wanted),
         ("activation", policy.activation, config.network.activation),
     ):
@@ -164,30 +163,27 @@ def initial_policy(config: Config) -> Policy | None:
 
 
 def with_policy(
-    params: ActorCritic, policy: Policy, scale: float, inputs: Sequence[float] = ()
-) -> ActorCritic:
+    params: Params, policy: Policy, scale: float, inputs: Sequence[float] = ()
+) -> Params:
     """Parameters with the policy of a file, and with its value where that has the same inputs.
 
     Args:
-        params: of networks of the policy's widths.
+        params: of a network of the policy's widths, or of its class.
         policy: a policy file's content.
         scale: of the reward: the unit of the values.
         inputs: factors on the observation in training; (): none.
     """
-    inverse = [1.0 / x for x in inputs]
-    value = params.value
-    if policy.value is not None and policy.value[0][0].shape == value[0][0].shape:
-        value = _rescaled(policy.value, inverse, scale)
-    return ActorCritic(
-        policy=_rescaled(policy.layers, inverse),
-        log_std=jnp.asarray(policy.log_std, jnp.float32),
-        value=value,
-    )
+    log_std = jnp.asarray(policy.log_std, jnp.float32)
+    if policy.own is not None:
+        return {**jax.tree.map(jnp.asarray, policy.own.params), "log_std": log_std}
+    inverse, critic = [1.0 / x for x in inputs], params["critic"]
+    if policy.value is not None and policy.value[0][0].shape == critic["Dense_0"]["kernel"].shape:
+        critic = to_params(_rescaled(policy.value, inverse, scale))
+    actor = to_params(_rescaled(policy.layers, inverse))
+    return {"actor": actor, "critic": critic, "log_std": log_std}
 
 
-def _rescaled(
-    layers: Weights, inputs: Sequence[float] = (), output: float = 1.0
-) -> tuple[Layer, ...]:
+def _rescaled(layers: Layers, inputs: Sequence[float] = (), output: float = 1.0) -> Layers:
     """A network's layers with its inputs multiplied by ``inputs`` and its outputs by ``output``."""
     new_layers = [(jnp.asarray(kernel), jnp.asarray(bias)) for kernel, bias in layers]
     if inputs:
@@ -199,19 +195,28 @@ def _rescaled(
     return tuple(new_layers)
 
 
-def network_policy(config: Config, params: ActorCritic) -> PolicyParams:
-    """Networks in training as parameters for inference."""
-    layers = _rescaled(params.policy, input_scale(config))
-    return PolicyParams(layers, params.log_std, config.network.activation, config.learner.noise_on)
+def network_policy(config: Config, params: Params) -> PolicyParams:
+    """A network in training for inference."""
+    actor, inputs = params["actor"], input_scale(config)
+    if inputs:
+        actor = to_params(_rescaled(to_layers(actor), inputs))
+    network = make_network(config).clone(privileged_size=0)
+    return PolicyParams({"actor": actor, "log_std": params["log_std"]}, network)
+
+
+def first_params(config: Config, seed: int) -> Params:
+    """Initial parameters of the network of a config."""
+    size = training_environment(config).observation_size
+    return initial_params(make_network(config), jax.random.key(seed), size)
 
 
 def untrained_policy(config: Config) -> Policy:
     """A policy with random weights for the race of a config."""
-    return policy_of(config, make_networks(config).init(jax.random.key(config.seed)), {})
+    return policy_of(config, first_params(config, config.seed))
 
 
-def trained_policy(config: Config, params: ActorCritic, steps: int) -> Policy:
-    """Networks after a number of environment steps of a training as a policy."""
+def trained_policy(config: Config, params: Params, steps: int) -> Policy:
+    """A network after a number of environment steps of a training as a policy."""
     source = {
         "project": "quadjax",
         "config": config.name,
@@ -223,28 +228,44 @@ def trained_policy(config: Config, params: ActorCritic, steps: int) -> Policy:
     return policy_of(config, params, source)
 
 
-def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Policy:
-    """Networks in training as a policy."""
+def policy_of(config: Config, params: Params, source: dict[str, Any] | None = None) -> Policy:
+    """A network in training as a policy."""
     choices = make_choices(config)
     model = choices.model
     constants = model.make_constants(config.vehicle.constants)
     low, high = (np.array(jax.tree.leaves(end)) for end in model.command_range(constants))
-    inputs = input_scale(config)
-    value = None
-    if not privileged_constants(config):
-        value = jax.device_get(_rescaled(params.value, inputs, 1.0 / reward_scale(config)))
+    layers, value, own = _parts_of_policy(config, jax.device_get(params))
     residual = config.vehicle.residual
     return Policy(
-        layers=jax.device_get(_rescaled(params.policy, inputs)),
-        log_std=np.asarray(params.log_std),
+        layers=layers,
+        log_std=np.asarray(params["log_std"]),
         vehicle=model.name,
         activation=config.network.activation,
         noise_on=config.learner.noise_on,
         command_low=low,
         command_high=high,
         layout=choices.layout.with_spans(model, make_params(config)),
-        source=source,
+        source=source or {},
         value=value,
         config=config.model_dump(mode="json", by_alias=True),
         residual=read_residual(residual) if residual and not is_shipped(residual) else None,
+        own=own,
     )
+
+
+def _parts_of_policy(
+    config: Config, params: Params
+) -> tuple[FileLayers, FileLayers | None, OwnNetwork | None]:
+    """The layers of the policy and of the value in plain units, or the network of the user's own.
+
+    A critic that observes more than the policy is left out.
+    """
+    if config.network.module is not None:
+        network = make_network(config).clone(privileged_size=0)
+        parts = {name: params[name] for name in ("actor", "critic")}
+        return (), None, OwnNetwork(config.network.module, parts, network)
+    inputs, value = input_scale(config), None
+    if not privileged_constants(config):
+        value = _rescaled(to_layers(params["critic"]), inputs, 1.0 / reward_scale(config))
+    layers = _rescaled(to_layers(params["actor"]), inputs)
+    return jax.device_get(layers), jax.device_get(value), None

@@ -10,8 +10,9 @@ import orbax.checkpoint as ocp
 from flax import struct
 
 from quadjax.core.errors import InputError
+from quadjax.core.mlp import Params
 from quadjax.learners.loop import Progress
-from quadjax.learners.state import ActorCritic, TrainState
+from quadjax.learners.state import TrainState
 
 # Orbax logs a traceback in every thread for an error that it also raises.
 logging.getLogger("absl").setLevel(logging.CRITICAL)
@@ -22,7 +23,7 @@ class RunState:
     """The progress of a run: what a checkpoint holds."""
 
     state: TrainState
-    best: ActorCritic  # the parameters of the best score so far; the latest before the first
+    best: Params  # the parameters of the best score so far; the latest before the first
     best_score: float = math.inf
     best_steps: int = 0
     steps: int = 0  # environment steps of the run that are done

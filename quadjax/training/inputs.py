@@ -122,12 +122,14 @@ def trace_race(config: Config, params: RaceParams) -> None:
 
 
 def check_learner(config: Config, learner: Learner, params: RaceParams) -> TrainState:
-    """The shapes of a learner's state; two updates of a user's own learner are traced.
+    """The shapes of a learner's state; two updates of a user's own code are traced.
 
     Raises:
-        InputError: a user's learner that raises an error, or whose functions return something else.
+        InputError: a user's learner or network that raises an error, or returns something else.
     """
-    user, name = ":" in config.learner.algorithm, f"learner.algorithm {config.learner.algorithm}"
+    algorithm, module = config.learner.algorithm, config.network.module
+    name = f"network.module {module}" if module else f"learner.algorithm {algorithm}"
+    user = module is not None or ":" in algorithm
     try:
         shapes = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
         if user and isinstance(shapes, TrainState):

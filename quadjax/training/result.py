@@ -78,7 +78,7 @@ class Run:
         elif not isinstance(config, Config):
             config = load_config(config)
         summary = read_summary(folder)
-        policy = Policy.load(folder / "policy.npz")
+        policy = Policy.load(folder / "policy.npz", config)
         return cls(config, folder, policy, summary["finished"], summary)
 
 

@@ -18,10 +18,11 @@ from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
 from quadjax.core.interruptions import interruptions
+from quadjax.core.mlp import Params
 from quadjax.learners import parallel
 from quadjax.learners.loop import Plan, Progress, Row, train_chunks
 from quadjax.learners.parallel import Chunk
-from quadjax.learners.state import ActorCritic, Learner, TrainState
+from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
 from quadjax.race.types import RaceParams
@@ -198,7 +199,7 @@ def _save(job: _Job, folder: Path, checkpoints: Checkpoints, run_state: RunState
 
 def _compile(
     job: _Job,
-    fly: Callable[[ActorCritic], Laps],
+    fly: Callable[[Params], Laps],
     restored: TrainState | None,
     stop: threading.Event,
     display: TrainingProgress | None,

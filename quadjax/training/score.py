@@ -11,7 +11,7 @@ import numpy as np
 
 from quadjax.config.assembly import make_choices
 from quadjax.config.schema import Config
-from quadjax.learners.state import ActorCritic
+from quadjax.core.mlp import Params
 from quadjax.policy.inference import act_deterministic, act_sampled
 from quadjax.race import environment
 from quadjax.race import laps as flights
@@ -28,7 +28,7 @@ CHANGES = {name: row.advice for name, row in TERMINATIONS.items()} | {
 OWN_RULE = "check rules.extra"
 
 
-def make_flights(config: Config, params: RaceParams) -> Callable[[ActorCritic], Laps]:
+def make_flights(config: Config, params: RaceParams) -> Callable[[Params], Laps]:
     """A function that flies the runs by which a policy is scored: ``Laps.score``.
 
     They start from hover and apply the mean action or sampled ones, or are episodes of the mean
@@ -37,7 +37,7 @@ def make_flights(config: Config, params: RaceParams) -> Callable[[ActorCritic], 
     choices, runs, race = make_choices(config), score_runs(config), config.evaluate
     act = act_sampled if config.run.score == "sampled" else act_deterministic
 
-    def fly(networks: ActorCritic) -> Laps:
+    def fly(networks: Params) -> Laps:
         local = jax.device_put(jax.device_get(networks), jax.local_devices()[0])
         policy, key = network_policy(config, local), jax.random.key(0)
         if config.run.score == "reward":

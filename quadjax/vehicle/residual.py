@@ -24,19 +24,19 @@ from flax import struct
 from quadjax.core import mlp
 from quadjax.core.errors import InputError, reading
 from quadjax.core.files import read_layers, read_npz, write_npz
+from quadjax.core.mlp import Params
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.vectors import Rotors, Vec3
 
 FORMAT, POLICY_FORMAT = FORMATS = ("quadjax-residual/1", "quadjax-policy/2")
 SHAPES = {"thrust": (7, 1), "moment": (10, 3)}
-Layers = tuple[tuple[jax.Array, jax.Array], ...]  # (kernel (in, out), bias (out,)) per layer
 
 
 class Residual(struct.PyTreeNode):
-    """Two ReLU networks, the scaling of their inputs and the sign of the first."""
+    """Parameters of two ``MLP``, the scaling of their inputs and the sign of the first."""
 
-    thrust: Layers  # 7 -> .. -> 1
-    moment: Layers  # 10 -> .. -> 3
+    thrust: Params  # 7 -> .. -> 1
+    moment: Params  # 10 -> .. -> 3
     rpm_min: jax.Array  # rpm that enters as -1
     rpm_max: jax.Array  # rpm that enters as +1
     thrust_sign: jax.Array  # +1: added to the body-z specific force; -1: subtracted
@@ -45,16 +45,16 @@ class Residual(struct.PyTreeNode):
 def scale_residual(residual: Residual, gain: jax.Array) -> Residual:
     """The residual with its outputs multiplied by ``gain`` ()."""
 
-    def scale(layers: Layers) -> Layers:
-        kernel, bias = layers[-1]
-        return (*layers[:-1], (gain * kernel, gain * bias))
+    def scale(params: Params) -> Params:
+        *hidden, (kernel, bias) = mlp.to_layers(params)
+        return mlp.to_params((*hidden, (gain * kernel, gain * bias)))
 
     return residual.replace(thrust=scale(residual.thrust), moment=scale(residual.moment))
 
 
 def adds_nothing(residual: Residual) -> bool:
     """Whether every output is zero, as ``quadjax fit`` writes one that it rejects."""
-    last = (residual.thrust[-1], residual.moment[-1])
+    last = [mlp.to_layers(params)[-1] for params in (residual.thrust, residual.moment)]
     return not any(np.any(x) for x in jax.tree.leaves(last))
 
 
@@ -85,7 +85,7 @@ def to_arrays(residual: Residual) -> tuple[dict[str, np.ndarray], dict[str, floa
     """A residual as the arrays and the numbers of a file."""
     arrays: dict[str, np.ndarray] = {}
     for name in SHAPES:
-        for index, (kernel, bias) in enumerate(getattr(residual, name)):
+        for index, (kernel, bias) in enumerate(mlp.to_layers(getattr(residual, name))):
             arrays[f"{name}_kernel_{index}"] = np.asarray(kernel, np.float32)
             arrays[f"{name}_bias_{index}"] = np.asarray(bias, np.float32)
     numbers = {key: float(getattr(residual, key)) for key in ("rpm_min", "rpm_max")}
@@ -150,11 +150,11 @@ def from_arrays(path: Path | str, arrays: dict[str, np.ndarray], meta: object) -
     """
     if not isinstance(meta, dict):
         raise InputError(f"{path}: a policy file without a residual")
-    networks: dict[str, Layers] = {}
+    networks: dict[str, Params] = {}
     for name in SHAPES:
         layers = read_layers(path, arrays, f"{name}_")
         check_shape(path, name, layers)
-        networks[name] = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), tuple(layers))
+        networks[name] = mlp.to_params(jax.tree.map(np.float32, layers))
     rpm_min, rpm_max = (finite_number(path, meta, key, "meta ") for key in ("rpm_min", "rpm_max"))
     if not rpm_min < rpm_max:
         raise InputError(f"{path}: meta 'rpm_min' {rpm_min} is not below 'rpm_max' {rpm_max}")

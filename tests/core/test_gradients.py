@@ -1,5 +1,6 @@
 """Operations on gradients, by their definitions."""
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -33,7 +34,7 @@ def test_cotangents_are_scaled_clipped_and_finite():
     np.testing.assert_allclose(slope, [0.05, -0.05, 2.0, -2.0, 0.0, 0.0], rtol=1e-6)
     odd = {**tree, "x": jnp.array([1.0, jnp.nan, jnp.inf])}
     same = jax.jit(scale_and_clip_cotangent)(odd, jnp.float32(0.5), jnp.float32(0.1))
-    jax.tree.map(np.testing.assert_array_equal, same, odd)
+    chex.assert_trees_all_equal(same, odd)
 
 
 def test_cotangents_are_scaled_at_every_step_of_a_scan():

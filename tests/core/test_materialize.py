@@ -1,5 +1,6 @@
 """What is materialized has the same values and gradients."""
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -39,9 +40,9 @@ def test_a_materialized_function_is_the_same_function(name):
         return CALLERS[name](once, opaque_true, x, y)
 
     values = jax.jit(stored)(TREE, y, opaque_true)
-    jax.tree.map(np.testing.assert_array_equal, values, once(TREE, y))
+    chex.assert_trees_all_equal(values, once(TREE, y))
     values = jax.jit(jax.vmap(stored, in_axes=(0, 0, None)))(TREE, y, opaque_true)
-    jax.tree.map(np.testing.assert_array_equal, values, once(TREE, y))
+    chex.assert_trees_all_equal(values, once(TREE, y))
 
     def total(function):
         def one(x, y):
@@ -52,7 +53,7 @@ def test_a_materialized_function_is_the_same_function(name):
 
     slope = jax.jit(jax.grad(total(lambda x, y: stored(x, y, opaque_true)), (0, 1)))(TREE, y)
     wanted = jax.grad(total(once), (0, 1))(TREE, y)
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), slope, wanted)
+    chex.assert_trees_all_close(slope, wanted, rtol=1e-6)
     assert np.abs(wanted[1]).max() > 0.1
 
 

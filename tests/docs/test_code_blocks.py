@@ -38,7 +38,7 @@ from quadjax.sil import run as sil
 from quadjax.sweeps import run as sweeps
 from quadjax.training import inputs
 from quadjax.training import run as training_run
-from quadjax.training.build import make_networks, start_state
+from quadjax.training.build import first_params, start_state
 from quadjax.training.checkpoint import Checkpoints
 from tests.commands import run
 from tests.docs.pages import GUIDE, ROOT, blocks_of, name_of
@@ -103,7 +103,7 @@ def first_state(config, learner, params, initial=None):
 
     def begin(hyper, params, key):
         state = jax.tree.map(zeros, jax.eval_shape(learner.init, hyper, params, key))
-        networks = make_networks(config).init(key)
+        networks = first_params(config, 0)
         copies = [name for name in ("params", "target", "ema") if getattr(state, name) is not None]
         return dataclasses.replace(state, **dict.fromkeys(copies, networks))
 

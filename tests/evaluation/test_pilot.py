@@ -10,7 +10,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.policy import pilot
-from quadjax.policy.inference import mean_action, policy_params
+from quadjax.policy.inference import mean_action
 from quadjax.race import environment, episode
 from quadjax.race.layout import Layout
 from quadjax.training.build import initial_policy
@@ -47,7 +47,7 @@ def test_the_policy_commands_what_its_file_says():
         own[12:16] = 2 * (rpm - 2000) / 10000 - 1
         action = pilot.fly(ready, jnp.asarray(shown, jnp.float32), noise)
         given = jax.tree.leaves(environment.command(choices, params, action))
-        mean = np.clip(mean_action(policy_params(policy), jnp.asarray(own, jnp.float32)), -1, 1)
+        mean = np.clip(mean_action(policy.on_device(), jnp.asarray(own, jnp.float32)), -1, 1)
         wanted = np.clip(2000 + 5000 * (np.asarray(mean) + 1), 3000, 11500)
         np.testing.assert_allclose(given, wanted, atol=0.5)
 

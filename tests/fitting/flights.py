@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.core.mlp import to_params
 from quadjax.fitting.flight_log import write_log
 from quadjax.fitting.formats import paparazzi_columns
 from quadjax.vehicle.residual import Residual
@@ -41,7 +42,7 @@ def random_residual(seed: int, thrust: float = 1.0, moments=0.015, width: int = 
         return jax.tree.map(lambda values: jnp.asarray(values, jnp.float32), layers)
 
     networks = network(SPANS[:7], np.array([thrust])), network(SPANS, np.broadcast_to(moments, 3))
-    return Residual(*networks, *map(jnp.float32, (3000.0, 11000.0, 1.0)))
+    return Residual(*map(to_params, networks), *map(jnp.float32, (3000.0, 11000.0, 1.0)))
 
 
 def as_reference(residual: Residual) -> dict:

@@ -9,7 +9,7 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.environment import Environment
-from quadjax.learners.state import Networks
+from quadjax.learners.networks import ActorCritic
 
 SIZE = 3  # numbers of an observation
 
@@ -73,7 +73,7 @@ def _step(params: Probe, state: State, action: jax.Array) -> tuple:
 
 
 ENVIRONMENT = Environment(_reset, _observe, _step, SIZE, 1)
-NETWORKS = Networks(SIZE, 1, (16, 16), activation="tanh")
+NETWORK = ActorCritic(1, (16, 16), activation="tanh")
 
 
 def observations(sign: float = 1.0, clock: float = 0.0, place: float = 0.0) -> np.ndarray:

@@ -1,6 +1,5 @@
 """Small learners on the probes, compiled once for all their tests."""
 
-import dataclasses
 import functools
 
 import jax
@@ -8,13 +7,14 @@ import numpy as np
 
 from quadjax.core.traced import as_leaves
 from quadjax.learners import parallel
+from quadjax.learners.networks import ActorCritic, mean_action, predict_value
 from quadjax.learners.ppo import PPO
 from quadjax.learners.shac import SHAC
-from quadjax.learners.state import Learner, Networks
-from tests.learners.probes import ENVIRONMENT, NETWORKS
+from quadjax.learners.state import Learner
+from tests.learners.probes import ENVIRONMENT, NETWORK
 
 UPDATES = 5  # of a chunk
-_mean, _value = jax.jit(NETWORKS.mean), jax.jit(NETWORKS.value)
+_mean, _value = (jax.jit(functools.partial(f, NETWORK)) for f in (mean_action, predict_value))
 DEFAULTS = {
     "ppo": PPO(
         num_envs=64,
@@ -45,13 +45,12 @@ DEFAULTS = {
 DEFAULTS["muon"] = DEFAULTS["shac"].replace(optimizer="muon")
 
 
-def networks_of(name: str) -> Networks:
-    clipped = DEFAULTS[name].noise_on == "clipped_mean"
-    return dataclasses.replace(NETWORKS, clip_mean=clipped)
+def network_of(name: str) -> ActorCritic:
+    return NETWORK.clone(clip_mean=DEFAULTS[name].noise_on == "clipped_mean")
 
 
 def make(name: str, **numbers: object) -> Learner:
-    return DEFAULTS[name].replace(**numbers).make(ENVIRONMENT, networks_of(name), 150)
+    return DEFAULTS[name].replace(**numbers).make(ENVIRONMENT, network_of(name), 150)
 
 
 @functools.cache

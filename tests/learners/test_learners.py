@@ -1,5 +1,6 @@
 """PPO and SHAC on probes whose answer is known, and what a run promises."""
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -92,7 +93,7 @@ def test_resumed_is_the_same_bit_for_bit(name):
         ]
         stopped.state = parallel.place(jax.tree.unflatten(shape, made), parallel.make_mesh(1))
     assert not changed(stopped.state, straight.state)
-    jax.tree.map(np.testing.assert_array_equal, first, second)
+    chex.assert_trees_all_equal(first, second)
 
 
 def changed(before, after):
@@ -119,8 +120,8 @@ def test_what_is_not_finite_changes_no_parameter(name):
     for bad in (np.nan, np.inf):
         run.params = probe(best=bad)
         metrics = run.train(1)
-        for part in ("policy", "value"):
-            assert not changed(getattr(before.params, part), getattr(run.state.params, part))
+        for part in ("actor", "critic"):
+            assert not changed(before.params[part], run.state.params[part])
         assert not changed(before.optimizer, run.state.optimizer)
         assert np.all(metrics["skipped"] == 1)
         with pytest.raises(NonFiniteError, match="update 6"):
@@ -135,13 +136,13 @@ def test_the_moving_average_follows_the_parameters():
     for rate, done, expected in ((1.0, 60, 1.0), (0.1, 60, 0.25), (0.1, 0, 1.0), (0.1, 999, 0.1)):
         hyper = run.hyper.model_copy(update={"ema_rate": jnp.float32(rate)})
         found, _ = update(hyper, run.params, first.replace(update=jnp.int32(done)))
-        for name in ("policy", "value"):
-            three = (plain(getattr(x, name)) for x in (first.ema, found.params, found.ema))
+        for name in ("actor", "critic"):
+            three = (plain(x[name]) for x in (first.ema, found.params, found.ema))
             for old, new, average in zip(*three, strict=True):
                 wanted = (1 - expected) * old + expected * new
                 np.testing.assert_allclose(average, wanted, rtol=1e-6, atol=1e-7)
-        np.testing.assert_array_equal(found.evaluated.log_std, found.params.log_std)
-        assert changed(found.evaluated.policy, found.params.policy) == (expected < 1)
+        np.testing.assert_array_equal(found.evaluated["log_std"], found.params["log_std"])
+        assert changed(found.evaluated["actor"], found.params["actor"]) == (expected < 1)
     assert Run("ppo", probe()).state.ema is None
 
 

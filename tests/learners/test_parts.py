@@ -1,23 +1,23 @@
 """The pieces of the learners against loops written out by hand."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
 import scipy.stats
+from flax import linen as nn
 
 from quadjax.config.assembly import make_choices
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.learners import parallel
 from quadjax.learners.loop import plan_chunks
+from quadjax.learners.networks import ActorCritic
 from quadjax.learners.parallel import choose_devices
 from quadjax.learners.ppo import PPO, Batch, loss
 from quadjax.learners.rollout import Steps, clip, run_epochs, td_lambda
 from quadjax.learners.shac import SHAC, make_policy_optimizer, total_return
-from quadjax.learners.state import ActorCritic
 from quadjax.race.environment import make_environment, with_critic_constants
 from quadjax.training.build import training_environment
 
@@ -110,6 +110,19 @@ def test_the_return_of_short_horizons(steps):
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
+class Proportional(ActorCritic):
+    """The observation times one number, as the mean action; its first entry times one, as value."""
+
+    def setup(self):
+        self.numbers = [self.param(name, nn.initializers.zeros, ()) for name in ("actor", "critic")]
+
+    def mean(self, observation):
+        return self.numbers[0] * observation
+
+    def value(self, observation):
+        return self.numbers[1] * observation[:, 0]
+
+
 def test_the_loss_of_a_minibatch_follows_its_equation():
     """In float64, with ratios on both sides of the clip range and advantages of both signs."""
     draw = np.random.default_rng(1)
@@ -119,12 +132,9 @@ def test_the_loss_of_a_minibatch_follows_its_equation():
     std, hyper = np.exp(log_std), PPO(clip_range=0.2, entropy_coefficient=0.01)
     now = scipy.stats.norm.logpdf(action, 0.9 * observation, std).sum(axis=1)
     old = now + 0.5 * old  # of the policy that sampled the actions
-    params = ActorCritic(policy=np.float32(0.9), log_std=np.float32(log_std), value=0.5)
-    networks = SimpleNamespace(
-        mean=lambda params, x: params.policy * x, value=lambda params, x: params.value * x[:, 0]
-    )
+    params = {"actor": np.float32(0.9), "log_std": np.float32(log_std), "critic": np.float32(0.5)}
     batch = Batch(*map(np.float32, (observation, action, old, advantage, target)))
-    total, _ = loss(params, networks, hyper, batch)
+    total, _ = loss(params, Proportional(2), hyper, batch)
     ratio = np.exp(now - old)
     scaled = (advantage - advantage.mean()) / advantage.std()
     clipped = np.clip(ratio, 0.8, 1.2)

@@ -1,3 +1,4 @@
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -169,4 +170,4 @@ def test_with_every_error_off_sensors_tell_the_truth():
         (measured.fix.position, truths.position),
     )
     for seen, true in pairs:
-        jax.tree.map(np.testing.assert_array_equal, seen, true)
+        chex.assert_trees_all_equal(seen, true)

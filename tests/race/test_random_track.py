@@ -3,6 +3,7 @@
 import itertools
 import json
 
+import chex
 import jax
 import numpy as np
 import pytest
@@ -139,8 +140,8 @@ def test_a_drawn_track_is_raced_as_a_track_of_its_own(flown):
         np.testing.assert_array_equal(here, there)
         following, *rest = step(params, state, action)
         single, *others = step(alone, state.replace(track=None), action)
-        jax.tree.map(np.testing.assert_array_equal, following.replace(track=None), single)
-        jax.tree.map(np.testing.assert_array_equal, rest, others)
+        chex.assert_trees_all_equal(following.replace(track=None), single)
+        chex.assert_trees_all_equal(rest, others)
         state = following
     assert not np.array_equal(state.track.position.x, params.track.position.x[:6])
 

@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import chex
 import jax
 import numpy as np
 import pytest
@@ -145,7 +146,7 @@ def test_the_race_is_three_pure_functions_and_numbers_compile_nothing_again():
     action = np.zeros(4, np.float32)
     first = transition(params, state, action)
     again = transition(params, state, action)
-    jax.tree.map(np.testing.assert_array_equal, first[1:], again[1:])
+    chex.assert_trees_all_equal(first[1:], again[1:])
     other = quadjax.make_race(
         short_config("e2e", "reward.body_rates=0.01", "vehicle.constants.k_w=3e-8")
     )[1]
@@ -162,5 +163,5 @@ def test_a_learner_repeats_itself_to_the_bit():
     learner = quadjax.SHAC(num_envs=16, horizon=4, critic_minibatches=2, critic_epochs=1)
     result = learner.train(environment, params, steps=128, seed=0)
     repeated = learner.train(environment, params, steps=128, seed=0)
-    jax.tree.map(np.testing.assert_array_equal, result.parameters, repeated.parameters)
+    chex.assert_trees_all_equal(result.parameters, repeated.parameters)
     assert result.steps == 128 and result.metrics["reward"].shape == (2,)

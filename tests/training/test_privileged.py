@@ -1,5 +1,7 @@
 """A critic that observes the drawn constants, which the policy does not."""
 
+import functools
+
 import jax
 import numpy as np
 import pytest
@@ -7,10 +9,12 @@ import pytest
 from quadjax.config.assembly import make_race as race_api
 from quadjax.config.assembly import race_of
 from quadjax.core.errors import InputError
+from quadjax.learners.networks import mean_action, predict_value
 from quadjax.training.build import (
+    first_params,
     input_scale,
     make_learner,
-    make_networks,
+    make_network,
     policy_of,
     privileged_constants,
     training_environment,
@@ -40,16 +44,16 @@ def test_the_observation_of_training_ends_with_the_drawn_constants():
 
 def test_only_the_value_takes_them():
     config = make_config(*OWN, SMALL, "network.normalize=true")
-    networks = make_networks(config)
-    params = jax.jit(networks.init)(jax.random.key(0))
-    seen = np.random.default_rng(1).normal(size=networks.observation_size).astype(np.float32)
+    network, params = make_network(config), first_params(config, 0)
+    size = training_environment(config).observation_size
+    seen = np.random.default_rng(1).normal(size=size).astype(np.float32)
     other = seen.copy()
     other[-2:] += 1.0
-    mean, value = jax.jit(networks.mean), jax.jit(networks.value)
+    mean, value = (jax.jit(functools.partial(f, network)) for f in (mean_action, predict_value))
     np.testing.assert_array_equal(mean(params, seen), mean(params, other))
     assert abs(value(params, seen) - value(params, other)) > 1e-3
-    policy = policy_of(config, params, {})
-    assert policy.layers[0][0].shape[0] == policy.layout.size == networks.observation_size - 2
+    policy = policy_of(config, params)
+    assert policy.layers[0][0].shape[0] == policy.layout.size == size - 2
     assert policy.value is None
     action = policy.mean(seen[:-2] / np.float32(input_scale(config)))
     np.testing.assert_allclose(action, np.clip(mean(params, seen), -1, 1), atol=1e-5)
@@ -57,11 +61,11 @@ def test_only_the_value_takes_them():
 
 def test_a_policy_with_a_critic_of_another_size_gives_its_policy_only():
     plain = make_config(OWN[0], SMALL)
-    policy = policy_of(plain, make_networks(plain).init(jax.random.key(3)), {})
-    params = make_networks(make_config(*OWN, SMALL)).init(jax.random.key(0))
+    policy = policy_of(plain, first_params(plain, 3))
+    params = first_params(make_config(*OWN, SMALL), 0)
     found = with_policy(params, policy, 1.0)
-    assert found.value is params.value and policy.value is not None
-    np.testing.assert_array_equal(found.policy[0][0], policy.layers[0][0])
+    assert found["critic"] is params["critic"] and policy.value is not None
+    np.testing.assert_array_equal(found["actor"]["Dense_0"]["kernel"], policy.layers[0][0])
 
 
 def test_scheduled_draws_are_observed_only_where_there_is_a_width():

@@ -104,7 +104,7 @@ def test_the_flights_of_a_score(kind, count, monkeypatch):
 def test_a_score_of_rewards(limit, total, monkeypatch):
     """Of episodes of five steps, or of one step, which ends in a crash."""
     monkeypatch.setattr(score, "act_deterministic", lambda policy, observation, noise: jnp.zeros(4))
-    monkeypatch.setattr(score, "network_policy", lambda config, networks: networks)
+    monkeypatch.setattr(score, "network_policy", lambda config, params: params)
     rewards = ["reward.time=1", "reward.progress=0", "start.velocity=0", "start.position=0"]
     config = load_config(BLANK, ["run.score=reward", "training_limits.episode_steps=5", *rewards])
     params = make_params(config)

@@ -38,7 +38,7 @@ def test_schedules_from_start_to_end():
     """Of 10 updates, yaw and pitch change from 1.25 to 3.125, the residual to 5.625."""
     config = tiny("e2e +residual", "observation.disturbance=estimated", *TURN)
     whole = make_params(config)
-    kernel = np.asarray(whole.vehicle.residual.moment[-1][0])
+    kernel = np.asarray(whole.vehicle.residual.moment["Dense_1"]["kernel"])
     shares = {0: (0, 0), 1: (0, 0), 2: (0.4, 0), 4: (1, 0.35), 5: (1, 0.75), 6: (1, 1), 10: (1, 1)}
     for (update, (turned, residual)), (hyper, params) in zip(
         shares.items(), at(config, *shares), strict=True
@@ -46,7 +46,7 @@ def test_schedules_from_start_to_end():
         assert float(params.start.yaw_deg) == pytest.approx(turned * 180, abs=1e-4)
         assert float(params.reward.pitch_up) == pytest.approx(2 * (1 - turned), abs=1e-6)
         for vehicle in (params.vehicle, params.estimator.vehicle):
-            found = vehicle.residual.moment[-1][0]
+            found = vehicle.residual.moment["Dense_1"]["kernel"]
             np.testing.assert_allclose(found, residual * kernel, atol=1e-6)
         rate = 3e-3 + 0.1 * update * (1.5e-4 - 3e-3)
         assert float(hyper.learning_rate) == pytest.approx(rate, rel=1e-5)

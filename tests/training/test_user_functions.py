@@ -30,9 +30,9 @@ THREE = Field("three", 1, "m", "world", value=lambda view: [0.0] * 3)
 
 def learner(init, update):
     class Own(LearnerSection):
-        def make(self, environment, networks, num_updates):
+        def make(self, environment, network, num_updates):
             def begin(hyper, params, key):
-                w = networks.init(key)
+                w = network.init(key, jnp.zeros(environment.observation_size))["params"]
                 adam = optax.adam(1e-3).init(w)
                 return TrainState(w, adam, None, (), key, jnp.int32(0))
 
@@ -42,7 +42,7 @@ def learner(init, update):
 
 
 class NoLearner(LearnerSection):
-    def make(self, environment, networks, num_updates):
+    def make(self, environment, network, num_updates):
         return None
 
 

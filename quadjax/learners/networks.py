@@ -1,0 +1,99 @@
+"""The networks that a learner trains: a Gaussian policy and a value function, one Flax module."""
+
+from typing import Any
+
+import chex
+import jax
+import jax.numpy as jnp
+from flax import linen as nn
+
+from quadjax.core.errors import InputError
+from quadjax.core.gradients import clip_inward
+from quadjax.core.mlp import MLP, Params, apply_module
+
+NAMES = ("actor", "critic", "log_std")  # of the parameters
+
+
+class ActorCritic(nn.Module):
+    """Two separate networks, and a standard deviation that does not depend on the observation.
+
+    Its parameters are ``{"actor": .., "critic": .., "log_std": (action_size,)}``. A subclass has
+    other networks where it overrides ``make_network``, or ``setup`` with these three names.
+
+    Attributes:
+        action_size: numbers of an action.
+        hidden: units of each hidden layer.
+        activation: of the hidden layers, "relu" or "tanh".
+        clip_mean: clip the mean action to [-1, 1] before noise is added.
+        privileged_size: last numbers of the observation, which only the critic takes.
+    """
+
+    action_size: int
+    hidden: tuple[int, ...] = (64, 64, 64)
+    activation: str = "relu"
+    clip_mean: bool = False
+    privileged_size: int = 0
+
+    def setup(self) -> None:
+        """The two networks and ``log_std``, which is zero at first."""
+        self.actor = self.make_network(self.action_size, 0.01)
+        self.critic = self.make_network(1, 1.0)
+        self.log_std = self.param("log_std", nn.initializers.zeros, (self.action_size,))
+
+    def make_network(self, outputs: int, last_scale: float) -> nn.Module:
+        """A module from inputs (..., n) to (..., outputs).
+
+        Args:
+            outputs: numbers that it computes: ``action_size`` of the actor, 1 of the critic.
+            last_scale: of the last layer's initial kernel; the actor's first actions are small.
+        """
+        return MLP((*self.hidden, outputs), self.activation, last_scale)
+
+    def __call__(self, observation: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Mean action and value of an observation, as ``mean`` and ``value``."""
+        return self.mean(observation), self.value(observation)
+
+    def mean(self, observation: jax.Array) -> jax.Array:
+        """Mean action (..., action_size) of an observation (..., n).
+
+        Where ``clip_mean`` is set, gradients pass the clip if they point inwards; see
+        ``quadjax.core.gradients.clip_inward``.
+        """
+        mean = self.actor(observation[..., : observation.shape[-1] - self.privileged_size])
+        self._check("mean action", mean, (*observation.shape[:-1], self.action_size))
+        return clip_inward(mean, -1.0, 1.0) if self.clip_mean else mean
+
+    def value(self, observation: jax.Array) -> jax.Array:
+        """Value (...) of an observation (..., n)."""
+        value = self.critic(observation)
+        self._check("value", value, (*observation.shape[:-1], 1))
+        return value[..., 0]
+
+    def _check(self, what: str, output: jax.Array, shape: tuple[int, ...]) -> None:
+        message = f"the {what} of the network {type(self).__name__}"
+        chex.assert_shape(output, shape, custom_message=message, exception_type=InputError)
+
+
+def initial_params(network: ActorCritic, key: jax.Array, observation_size: int) -> Params:
+    """Initial parameters of a network.
+
+    Raises:
+        InputError: the parameters of a user's network are not of the three names.
+    """
+    params = network.init(key, jnp.zeros(observation_size))["params"]
+    if set(params) != set(NAMES):
+        raise InputError(
+            f"{type(network).__name__} has parameters of {', '.join(sorted(params))}, expected "
+            f"{', '.join(NAMES)}: the networks of policy and value are separate"
+        )
+    return params
+
+
+def mean_action(network: ActorCritic, params: Any, observation: jax.Array) -> jax.Array:
+    """Mean action (..., action_size) of a network with given parameters."""
+    return apply_module(network, params, observation, "mean")
+
+
+def predict_value(network: ActorCritic, params: Any, observation: jax.Array) -> jax.Array:
+    """Value (...) of a network with given parameters."""
+    return apply_module(network, params, observation, "value")

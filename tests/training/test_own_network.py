@@ -1,0 +1,141 @@
+"""Policy and value networks of the user's own class: training, file, flight, refusals."""
+
+import chex
+import numpy as np
+import pytest
+from flax import linen as nn
+
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.export.network import check_policy
+from quadjax.learners.networks import ActorCritic
+from quadjax.policy.file import Policy
+from quadjax.training import run as training
+from quadjax.training.build import (
+    first_params,
+    initial_policy,
+    make_learner,
+    policy_of,
+    start_state,
+    training_params,
+)
+from tests.race.support import BLANK
+
+HERE = "tests.training.test_own_network"
+SMALL = ["run.steps=64", "run.evaluate_every=64", "run.devices=1", "learner.num_envs=8"]
+LAYERS = (("Dense_0", "kernel"), ("LayerNorm_0", "scale"), ("Dense_1", "kernel"))
+PPO = ["learner.rollout_length=8", "learner.num_minibatches=2"]
+
+
+class Normed(nn.Module):
+    outputs: int
+    last_scale: float
+
+    @nn.compact
+    def __call__(self, inputs):
+        hidden = nn.silu(nn.LayerNorm()(nn.Dense(8)(inputs)))
+        return nn.Dense(self.outputs, kernel_init=nn.initializers.orthogonal(self.last_scale))(
+            hidden
+        )
+
+
+class Own(ActorCritic):
+    def make_network(self, outputs, last_scale):
+        return Normed(outputs, last_scale)
+
+
+class Wider(ActorCritic):
+    """Its mean action has one number too many."""
+
+    def make_network(self, outputs, last_scale):
+        return Normed(outputs + 1, last_scale)
+
+
+class Raises(ActorCritic):
+    def make_network(self, outputs, last_scale):
+        return undefined  # noqa: F821
+
+
+class Shares(ActorCritic):
+    """Parameters of other names, which no learner would train."""
+
+    def setup(self):
+        super().setup()
+        self.body = nn.Dense(8)
+
+    def value(self, observation):
+        return self.critic(self.body(observation))[..., 0]
+
+
+def config_of(*overrides, module="Own"):
+    return load_config(BLANK, [*SMALL, *PPO, f"network.module={HERE}:{module}", *overrides])
+
+
+@pytest.mark.slow
+def test_it_is_trained_saved_and_flown(tmp_path):
+    config = config_of()
+    run = training.train(config, tmp_path / "run", progress=False)
+    assert run.finished and run.policy.describe() == f"{HERE}:Own" and not run.policy.layers
+    with np.load(tmp_path / "run/policy.npz") as file:
+        first, norm, last = (
+            {name: file[f"actor/{layer}/{name}"] for name in (kind, "bias")}
+            for layer, kind in (
+                ("Dense_0", "kernel"),
+                ("LayerNorm_0", "scale"),
+                ("Dense_1", "kernel"),
+            )
+        )
+    seen = np.linspace(-1, 1, first["kernel"].shape[0], dtype=np.float32)
+    hidden = seen @ first["kernel"] + first["bias"]
+    hidden = (hidden - hidden.mean()) / np.sqrt(hidden.var() + 1e-6) * norm["scale"] + norm["bias"]
+    mean = hidden / (1.0 + np.exp(-hidden)) @ last["kernel"] + last["bias"]
+    np.testing.assert_allclose(run.policy.mean(seen), np.clip(mean, -1, 1), atol=1e-5)
+    read = Policy.load(tmp_path / "run/policy.npz", config)
+    np.testing.assert_array_equal(read.mean(seen), run.policy.mean(seen))
+
+
+def test_its_class_is_imported_only_from_a_config_that_the_user_names(tmp_path):
+    file = tmp_path / "own.npz"
+    policy_of(config_of(), first_params(config_of(), 0)).save(file)
+    with pytest.raises(InputError, match=f"class {HERE}:Own, which is imported only if a config"):
+        Policy.load(file).mean(np.zeros(24, np.float32))
+    with pytest.raises(InputError, match=f"its network is {HERE}:Own, the config has .*=null"):
+        Policy.load(file, load_config(BLANK))
+
+
+def test_a_training_starts_from_its_parameters(tmp_path):
+    file, config = tmp_path / "own.npz", config_of()
+    params = first_params(config, 3)
+    policy_of(config, params).save(file)
+    tuned = config_of(f"run.initial_policy={file}")
+    (learner, _), race = make_learner(tuned), training_params(tuned)
+    state = start_state(tuned, learner, race, initial_policy(tuned))
+    chex.assert_trees_all_equal(dict(state.params), dict(params))
+    with pytest.raises(InputError, match=f"its network is {HERE}:Own, the config has"):
+        initial_policy(load_config(BLANK, [*SMALL, *PPO, f"run.initial_policy={file}"]))
+
+
+def test_it_is_not_converted_to_c():
+    with pytest.raises(InputError, match=f"network is {HERE}:Own, allowed: a perceptron"):
+        check_policy(policy_of(config_of(), first_params(config_of(), 0)))
+
+
+WRONG = {
+    "Wider": "has shape (5,) but expected (4). [the mean action of the network Wider]",
+    "Raises": "NameError: name 'undefined' is not defined",
+    "Shares": "parameters of actor, body, critic, log_std, expected actor, critic, log_std",
+    "Normed": "expected a quadjax.ActorCritic",
+}
+
+
+@pytest.mark.parametrize("module", WRONG)
+def test_a_mistake_is_one_line(module, tmp_path):
+    with pytest.raises(InputError) as caught:
+        training.train(config_of(module=module), tmp_path / "run", progress=False)
+    assert WRONG[module] in str(caught.value) and "\n" not in str(caught.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_lengths_in_legs_are_for_perceptrons():
+    with pytest.raises(InputError, match="normalize is true, allowed: false with network.module"):
+        config_of("network.normalize=true")
