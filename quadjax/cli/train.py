@@ -58,7 +58,7 @@ def train(
     """
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.training.fine_tuning import check_policy, fine_tuning
+        from quadjax.training.fine_tuning import fine_tuning
         from quadjax.training.folder import check_started
 
     opt.exclude("overwrite", "resume")
@@ -70,7 +70,6 @@ def train(
     opt.refuse("without --seeds", "runs", "figure")
     settings = load_config(config, named)
     if fine_tune is not None:
-        check_policy(settings, fine_tune)
         settings = fine_tuning(settings, fine_tune)
     folder = output / settings.name
     if resume and name:

@@ -96,7 +96,7 @@ def write_logs(
     Args:
         plan: the flights; see ``plan_logs``.
         name: of the logs.
-        folder: of the logs.
+        folder: of the logs; it exists.
         seed: of batteries, gusts, sensors and the policy's noise.
         report: called with the progress.
 

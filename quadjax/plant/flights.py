@@ -120,7 +120,22 @@ def race_config(config: Config, policy: Policy) -> Config:
 def plan_logs(
     config: Config, plant: PlantConfig, policy: Path | str, flights: int, laps: int
 ) -> Plan:
-    """Flights of a policy file, all with a record of each sample; else as ``plan_race``."""
+    """Flights of the mean action of a policy on the plant, with a record of each sample.
+
+    Args:
+        config: of the race; its vehicle, with its residual, is the onboard model.
+        plant: of the plant.
+        policy: its file, the folder of its run, or the name of a shipped policy.
+        flights: number of flights.
+        laps: of each flight, from hover.
+
+    Returns:
+        The plan, which ``write_logs`` flies.
+
+    Raises:
+        InputError: a policy that does not fit or is of another drone, or a file that cannot be
+            read.
+    """
     plant, network = plant.replace(control_rate=plant.sample_rate), Policy.load(policy, config)
     return plan_race(
         config, plant, network, str(policy), lap_count=laps, runs=flights, recorded=flights

@@ -10,6 +10,7 @@ WIDE = {"position": 32.0, "velocity": 64.0, "rates": 1024.0, "next_position": 16
 CODE = [  # in Python
     (r"\bsteps=[\d_]+", "steps=512"),
     (r"\bruns=\d+", "runs=1"),
+    (r"\bflights=\d+, laps=\d+", "flights=2, laps=1"),
     (r"\bnum_envs=\d+", "num_envs=16"),
     (r"\bhorizon=\d+", "horizon=4"),
 ]
@@ -30,6 +31,9 @@ def short_overrides(name: str, overrides: list[str] | tuple[str, ...] = ()) -> l
     return [*OF_EACH, *OF_LEARNER.get(config.learner.algorithm, ()), *tracks]
 
 
-def load_short(name: str, overrides: list[str] | tuple[str, ...] = ()) -> quadjax.Config:
-    """``quadjax.load`` with the settings of a short training."""
-    return load(name, [*overrides, *short_overrides(name, overrides)])
+def load_short(
+    name: str, overrides: list[str] | tuple[str, ...] = (), kept: tuple[str, ...] = ()
+) -> quadjax.Config:
+    """``quadjax.load`` with the settings of a short training, but for the keys ``kept``."""
+    short = short_overrides(name, overrides)
+    return load(name, [*overrides, *(x for x in short if x.partition("=")[0] not in kept)])

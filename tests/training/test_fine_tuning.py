@@ -8,17 +8,21 @@ import pytest
 from quadjax.cli import run
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
+from quadjax.core.resources import PRETRAINED
 from quadjax.policy.file import Policy
 from quadjax.training.build import initial_policy
 from quadjax.training.fine_tuning import fine_tuning
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK, make_config
 
+VALUE = ((np.ones((24, 8)), np.zeros(8)), (np.ones((8, 1)), np.zeros(1)))
+
 
 def test_schedules_are_at_their_ends_and_learning_rates_fall(tmp_path):
-    config = load_config("e2e_race", ["track=square4"])
-    own = fine_tuning(config, tmp_path / "a.npz")
-    assert own.run.initial_policy == str(tmp_path / "a.npz")
+    config, file = load_config("e2e_race", ["track=square4"]), tmp_path / "a.npz"
+    random_policy(value=VALUE).save(file)
+    own = fine_tuning(config, file)
+    assert own.run.initial_policy == str(file)
     assert own.learner.learning_rate == pytest.approx(0.3 * config.learner.learning_rate)
     assert set(own.schedules) == {"learner.learning_rate", "learner.critic_learning_rate"}
     assert own.schedules["learner.learning_rate"].linear == ("value", 0.0)
@@ -30,8 +34,7 @@ def test_schedules_are_at_their_ends_and_learning_rates_fall(tmp_path):
 def test_the_network_is_that_of_the_file_which_has_a_critic(tmp_path, capsys):
     file, bare = tmp_path / "small.npz", tmp_path / "bare.npz"
     small = make_config("network.hidden=[8]")
-    value = ((np.ones((24, 8)), np.zeros(8)), (np.ones((8, 1)), np.zeros(1)))
-    policy = random_policy(value=value)
+    policy = random_policy(value=VALUE)
     policy.save(file)
     found = initial_policy(fine_tuning(small, file))
     np.testing.assert_array_equal(found.layers[0][0], Policy.load(file).layers[0][0])
@@ -46,3 +49,9 @@ def test_the_network_is_that_of_the_file_which_has_a_critic(tmp_path, capsys):
         taken = ["train", str(BLANK), *more, "--fine-tune", str(name), "--output", str(tmp_path)]
         assert run(taken) == 2
         assert says in capsys.readouterr().err
+
+
+def test_a_shipped_policy_is_known_by_its_name():
+    own = fine_tuning(load_config("e2e"), "e2e")
+    assert own.run.initial_policy == str(PRETRAINED / "e2e.npz")
+    assert initial_policy(own).value is not None
