@@ -13,7 +13,7 @@ ALLOWED = {
     "learners": {"core"},
     "config": CONFIG,
     "policy": CONFIG | {"config"},
-    "training": CONFIG | {"config", "policy", "flights"},
+    "training": CONFIG | {"config", "policy"},
     "flights": {"core", "vehicle", "race"},
     "view": {"core", "race", "flights"},
     "evaluation": CONFIG | {"config", "policy", "training", "view", "flights", "plant", "fitting"},
@@ -26,10 +26,6 @@ ALLOWED = {
     "predictions": {"core", "vehicle", "flights", "fitting", "log_states"},
     "replay": CONFIG - {"learners"}
     | {"config", "policy", "flights", "evaluation", "export", "log_states", "predictions"},
-    # What learns from logs knows nothing of the plant.
-    "refit": CONFIG - {"learners"} | {"config", "flights", "fitting", "evaluation", "log_states"},
-    "improve": CONFIG
-    | {"config", "policy", "training", "flights", "fitting", "plant", "refit", "evaluation"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant"},
     "sil": CONFIG - {"learners"}
     | {"config", "policy", "training", "evaluation", "plant", "export", "flights"},

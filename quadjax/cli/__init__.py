@@ -31,7 +31,6 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "sweep": "search hyperparameters",
     "fit": "fit the model of a drone to its flight logs",
     "replay": "replay a flight log through a policy and a model",
-    "improve": "improve a policy by its own flights",
     "compare": "compare E2E with INDI, in simulation and on the plant",
     "export": "convert a policy to fixed-point C",
     "verify": "build, run and check exported C",

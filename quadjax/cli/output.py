@@ -76,7 +76,7 @@ def wrote(*paths: Path | str | None) -> None:
             note(f"wrote {path}")
 
 
-def command_again(without: str = "--overwrite", more: str | None = None) -> str:
-    """The command line that was given, without an option and with another one."""
-    words = [word for word in ARGUMENTS.get() if word not in (without, more)]
-    return shlex.join(["quadjax", *words, *([more] if more else [])])
+def resuming_command() -> str:
+    """The command line that was given, with ``--resume`` and without ``--overwrite``."""
+    words = [word for word in ARGUMENTS.get() if word not in ("--overwrite", "--resume")]
+    return shlex.join(["quadjax", *words, "--resume"])

@@ -10,7 +10,7 @@ from cyclopts import Group, Parameter
 from quadjax.cli import STARTED
 from quadjax.cli import options as opt
 from quadjax.cli.files import is_override
-from quadjax.cli.output import command_again, note, steps, wrote
+from quadjax.cli.output import note, resuming_command, steps, wrote
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
 
@@ -92,7 +92,7 @@ def _train(config: "Config", folder: Path, resume: bool, overwrite: bool) -> int
         print(f"error: {error}", file=sys.stderr)
         return 1
     if not done.finished:
-        print(f"Stopped and saved. Continue with: {command_again(more='--resume')}")
+        print(f"Stopped and saved. Continue with: {resuming_command()}")
         return INTERRUPTED
     if finished:
         ended = f"the run is finished ({done.summary['steps']:,} steps)"

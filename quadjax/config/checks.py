@@ -238,9 +238,8 @@ def _check_track(config: Config) -> None:
     if config.randomization.tracks is not None:
         if start.heading == "inside_turn":
             refuse("start.heading", start.heading, "north with randomization.tracks")
-        for key in ("rules.bounds", "run.start_states"):
-            if (value := value_at(config, key)) is not None:
-                refuse(key, value, "null with randomization.tracks")
+        if rules.bounds is not None:
+            refuse("rules.bounds", rules.bounds, "null with randomization.tracks")
     if not track.closed:
         if laps.laps != 1:
             refuse("evaluate.laps", laps.laps, "1 with track.closed false")

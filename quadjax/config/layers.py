@@ -28,7 +28,7 @@ OVERRIDES = "overrides"  # the source of the last layer
 DEFAULTS = {"vehicle": "bebop1.yaml", "track": "square4.yaml"}
 VEHICLE: Tree = {"file": None, "width": 0.0, "fitted_speed": None, "constants": Whole()}
 TRACK: Tree = {"file": None, "generate": None, "gates": [], "start": None, "closed": True}
-DATA_FILES = (("vehicle", "residual"), ("run", "initial_policy"), ("run", "start_states"))  # .npz
+DATA_FILES = (("vehicle", "residual"), ("run", "initial_policy"))  # .npz
 SCHEDULE_KEYS = [field.alias or name for name, field in Schedule.model_fields.items()]
 
 

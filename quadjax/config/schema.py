@@ -129,14 +129,6 @@ class Run(Section):
     initial_policy: str | None = Field(
         None, description="policy file (.npz) to start from, next to the config or by its path"
     )
-    start_states: str | None = Field(
-        None,
-        description="file of states (.npz) in which episodes of training start, next to the config "
-        "or by its path; quadjax improve and quadjax limit --npz write such files",
-    )
-    start_states_part: float = Field(
-        0.5, ge=0, le=1, description="fraction of the episodes that start in run.start_states"
-    )
     evaluate_every: int = Field(
         500_000, ge=1, le=10**12, description="environment steps between evaluations (one chunk)"
     )

@@ -1,10 +1,10 @@
 """Folders of results: each has a kind, a lock while a process writes to it, and files by pattern.
 
-The kind (training, fit, sweep, export, comparison, report, replay, flight, logs, improvement) is in
-the file ``.quadjax.json``. A program writes only to a folder of the same kind, and removes only the
-files that it writes itself. In a folder without a kind it replaces files of the same names only
-with ``--overwrite``. A command that is rejected removes the folders that it created. ``.lock`` is
-locked while a process writes to the folder.
+The kind (training, fit, sweep, export, comparison, report, replay, flight, logs) is in the file
+``.quadjax.json``. A program writes only to a folder of the same kind, and removes only the files
+that it writes itself. In a folder without a kind it replaces files of the same names only with
+``--overwrite``. A command that is rejected removes the folders that it created. ``.lock`` is locked
+while a process writes to the folder.
 """
 
 import contextlib

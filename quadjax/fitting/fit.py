@@ -30,7 +30,6 @@ from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
 
 Report = Callable[[str], None]
-BATTERY = BatteryConfig()
 
 
 @dataclass(frozen=True)
@@ -68,12 +67,7 @@ class Fit:
         return [log.name for log in self.logs if log.name not in self.config.split.test_flights]
 
 
-def fit(
-    config: FitConfig,
-    folder: Path = Path(),
-    report: Report = lambda line: None,
-    battery: BatteryConfig = BATTERY,
-) -> Fit:
+def fit(config: FitConfig, folder: Path = Path(), report: Report = lambda line: None) -> Fit:
     """Fit a drone's model to its flight logs: that of the base vehicle, ``motor`` or ``racing``.
 
     Every held-out flight is predicted by a complete fit without it: constants, residual and all
@@ -83,7 +77,6 @@ def fit(
         config: of the fit.
         folder: of the config file, in which named files are looked up as well.
         report: called with the progress.
-        battery: whose numbers are assumed where the flights do not show them.
 
     Raises:
         InputError: bad logs, a bad config, or a key of it that has no effect, in one line.
@@ -106,7 +99,7 @@ def fit(
     elif model == "motor":
         options = fits.constants, config.residual, config.seed, report
         residuals = fit_residuals(fits.samples(), fits.split, fits.base, *options)
-    lags, limit = fits.lags(battery)
+    lags, limit = fits.lags()
     estimates = [*fits.estimates(), *lags]
     kept, samples = fits.harmful(), fits.samples()
 
@@ -231,13 +224,13 @@ class _Fits:
         names = [name for axis in self.harmful(left_out) for name in of_axis[axis]]
         return replaced(self._fitted(left_out), {name: base[name] for name in names})
 
-    def lags(self, battery: BatteryConfig) -> tuple[list[Estimate], BatteryFit | None]:
+    def lags(self) -> tuple[list[Estimate], BatteryFit | None]:
         """The motors' lag with the battery's limit, and the rate-and-thrust model."""
         rows, constants = self.masks(), self.constants()
         if not isinstance(constants, MotorConstants):
             return [], None
         hover = float(np.sqrt(constants.g / (4.0 * constants.k_w)))
-        base = battery.filled(float(constants.rpm_max))
+        base = BatteryConfig().filled(float(constants.rpm_max))
         lag, limit = fit_battery(self.logs, hover, base, rows, float(constants.tau))
         if "rate" not in self.vehicle.models:
             return [lag], limit

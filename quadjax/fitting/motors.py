@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadjax.core.errors import InputError
 from quadjax.fitting.axes import fit_axes
 from quadjax.fitting.formats import RPM
 from quadjax.fitting.nominal import AXES, EQUATIONS
@@ -36,7 +35,6 @@ from quadjax.vehicle.rate import RateConstants
 TAU = (0.002, 0.5, 0.05)  # s: lowest, highest and typical time constant
 MAP = ("tau", "w_min", "w_max", "k")
 LEAST_GAIN = 0.02  # relative decrease of the error, below which there is no limit
-RESERVE = 0.1  # charge above and below that of the flights, for flights to come
 LEAST_USED = 20.0  # s of hover in the longest flight, below which the drain is not fitted
 LEAST_EXPLAINED = 0.2  # R^2 of a lag of the inner loop that is used
 EXPLAINED = 0.9  # R^2 of the motor map below which there is a warning
@@ -131,42 +129,6 @@ class BatteryFit:
     rmse: float = 0.0  # of the simulated speeds of the flights, rpm
     converged: bool = True  # false if the solver stopped at its limit of steps
 
-    def error(self, log: Flight, hover: float, highest: float) -> float:
-        """Root mean square error, rpm, of the speeds of a flight that was not fitted.
-
-        Its charge is not known, so ``a`` is the mean over the fitted flights.
-
-        Raises:
-            InputError: a log without commanded speeds.
-        """
-        if "command" not in log.signals:
-            path = log.source["path"]
-            raise InputError(f"{path}: no commanded speeds (logs.columns.rpm_command)")
-        part = _followed(log, np.ones(len(log.time), bool), "actuators", "command", hover)
-        first = float(np.mean(list(self.first.values()))) if self.first else highest
-        simulated = part.simulated(self.tau, part.limited(first, self.sag, self.drain))
-        return float(np.sqrt(((simulated - part.measured) ** 2).mean()))
-
-    def section(self, base: BatteryConfig) -> BatteryConfig | None:
-        """The battery of a race; None without a limit.
-
-        The speed at the full voltage and the charge of a flight cannot be separated: the flight
-        with the highest limit is assumed to start ``RESERVE`` below full. Voltages and the hover
-        current are those of ``base``.
-        """
-        if not self.first:
-            return None
-        drop = base.drop / base.voltage
-        full = max(self.first.values()) / (1.0 - drop * RESERVE)
-        lowest = 1.0 - (1.0 - min(self.last.values()) / full) / max(drop, 1e-6) - RESERVE
-        per_second = max(self.drain / (full * max(drop, 1e-6)), 1e-8)
-        return base.replace(
-            rpm_full=round(full, 2),
-            resistance=round(self.sag / full * base.voltage / base.hover_current, 6),
-            capacity=round(base.hover_current / (3600.0 * per_second), 5),
-            charge=(round(float(np.clip(lowest, 0.0, 1.0)), 3), 1.0),
-        )
-
 
 def drain_of(battery: BatteryConfig) -> float:
     """Decrease of the highest speed per second of hover, rpm/s, by a battery's capacity."""
@@ -179,8 +141,8 @@ def fit_battery(
     logs: Sequence[Flight],
     hover: float,
     base: BatteryConfig,
-    rows: Sequence[np.ndarray] | None = None,
-    tau: float = TAU[2],
+    rows: Sequence[np.ndarray],
+    tau: float,
 ) -> tuple[Estimate, BatteryFit | None]:
     """Fit the motors' lag, with the battery's limit if that decreases the error.
 
@@ -188,7 +150,7 @@ def fit_battery(
         logs: flights of one drone.
         hover: propeller speed of a hover, rpm.
         base: the battery whose drain is assumed where flights are too short to show it.
-        rows: of each log, (n,) bool; all if not given.
+        rows: of each log, (n,) bool.
         tau: value without evidence, s.
 
     Returns:
@@ -197,7 +159,7 @@ def fit_battery(
     """
     parts = {
         log.name: _followed(log, used, "actuators", "command", hover)
-        for log, used in zip(logs, rows or [np.ones(len(x.time), bool) for x in logs], strict=True)
+        for log, used in zip(logs, rows, strict=True)
         if "command" in log.signals and used.any()
     }
     flights = list(parts.values())

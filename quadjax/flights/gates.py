@@ -74,7 +74,7 @@ def passages(
         rows = _in_order(time, position, gates, reach, closed)
         ahead = len(rows) % len(gates)
     if cut and (closed or len(rows) < len(gates)):
-        end = crossing_after_end(time, position, gates[ahead])
+        end = _crossing_after_end(time, position, gates[ahead])
         if end is not None and end[1] >= -reach:
             rows.append((*end, ahead))
     return np.array(rows, np.float64).reshape(-1, 3)[:, [0, 2, 1]]
@@ -136,24 +136,19 @@ def _crossings(
     return np.stack([when, clearance(gate, place[:, 1:])], axis=1)
 
 
-def crossing_after_end(
-    time: np.ndarray, position: np.ndarray, gate: GateSection, seconds: float = LAST_SECONDS
+def _crossing_after_end(
+    time: np.ndarray, position: np.ndarray, gate: GateSection
 ) -> tuple[float, float] | None:
     """Time and clearance at which a path that ends before a gate's plane would cross it.
 
-    The velocity is the mean over the last ``seconds`` of the path.
-
-    Args:
-        time: (n,) s.
-        position: (n, 3) m, world.
-        gate: that is ahead at the end.
-        seconds: from the end to the plane, at most; None is returned for more.
+    The velocity is the mean over the last ``LAST_SECONDS`` of the path. None if the path would
+    take longer to the plane.
     """
-    first = min(int(np.searchsorted(time, time[-1] - seconds)), len(time) - 2)
+    first = min(int(np.searchsorted(time, time[-1] - LAST_SECONDS)), len(time) - 2)
     axes = np.array(gate.axes)
     velocity = (position[-1] - position[first]) / (time[-1] - time[first]) @ axes
     place = (position[-1] - np.array(gate.position)) @ axes
-    if not 0.0 < -place[0] <= seconds * velocity[0]:
+    if not 0.0 < -place[0] <= LAST_SECONDS * velocity[0]:
         return None
     left = -place[0] / velocity[0]
     return float(time[-1] + left), float(clearance(gate, (place + left * velocity)[1:]))

@@ -1,19 +1,16 @@
 """What is drawn for an episode: its start, disturbances, constants and track.
 
-The sections ``start``, ``disturbance`` and ``randomization`` of a config, and recorded states;
+The sections ``start``, ``disturbance`` and ``randomization`` of a config;
 ``quadjax.race.episode`` draws from them.
 """
 
 from typing import Annotated, Literal
 
-import jax
-from flax import struct
-
 from quadjax.core.sections import ORDERED, Field, Section, Unit
 from quadjax.core.traced import UnusedAtZero, register
 from quadjax.race.random_track import RandomTracks
 from quadjax.race.track import Coordinate
-from quadjax.vehicle.protocol import Motion, VehicleModel
+from quadjax.vehicle.protocol import VehicleModel
 
 HalfWidth = Annotated[float, Field(ge=0, le=1e6)]
 Share = Annotated[float, Field(ge=0, le=0.9)]
@@ -155,12 +152,3 @@ class Randomization(Section):
         return {
             name: self.width * fraction for name, fraction in (fractions | self.constants).items()
         }
-
-
-class RecordedStarts(struct.PyTreeNode):
-    """States of flights in which a part of the episodes starts, each with the same chance."""
-
-    motion: Motion  # components (n,); m, m/s, rad, rad/s
-    actuators: jax.Array  # (n, k) in [-1, 1] over the range of what a start draws
-    target: jax.Array  # (n,) int32, index of the gate to pass next
-    fraction: jax.Array  # () of the episodes that start in one of them

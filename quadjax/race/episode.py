@@ -27,7 +27,7 @@ from quadjax.vehicle.battery import BatteryState, battery_at_start, draw_battery
 from quadjax.vehicle.protocol import Constants, Motion, State, VehicleModel
 
 # Streams of random numbers, folded into the key of a start. Its ``Draws`` are of the key itself.
-ALONG_LEG, BATTERY, TRACK, RECORDED, RACE_START, AROUND_HOVER = range(1, 7)
+ALONG_LEG, BATTERY, TRACK, RACE_START, AROUND_HOVER = 1, 2, 3, 5, 6
 AROUND_START, YAW_OF_START = 0.5, math.pi / 4.0  # half-widths of x and y, m, and of the yaw, rad
 
 
@@ -114,28 +114,16 @@ def _draw_drone(
 ) -> tuple[State, jax.Array]:
     """The vehicle's state at a random start with its disturbances, and the gate to pass next.
 
-    A fraction of the episodes starts in recorded states. The others start around a point of the
-    path to the gate.
+    The start is around a point of the way to this gate.
     """
     starts, target, along = params.start, jnp.zeros((), jnp.int32), jnp.zeros(())
     if starts.gate == "random":
         target = start_gate(params.track, draws["gate"][0])
-    if params.recorded is not None:
-        which, whether = jax.random.uniform(jax.random.fold_in(key, RECORDED), (2,))
-        used, count = whether < params.recorded.fraction, params.recorded.target.shape[0]
-        index = jnp.minimum((which * count).astype(jnp.int32), count - 1)
-        recorded = jax.tree.map(lambda x: x[index], params.recorded.replace(fraction=None))
-        target = jnp.where(used, recorded.target, target)
     if starts.along_leg is not None:
         along = starts.along_leg * jax.random.uniform(jax.random.fold_in(key, ALONG_LEG))
-    motion, actuators = _motion(params, target, along, draws), draws["actuators"]
-    if params.recorded is not None:
-        motion = jax.tree.map(functools.partial(jnp.where, used), recorded.motion, motion)
-        count = recorded.actuators.shape[0]
-        first = jnp.where(used, recorded.actuators, actuators[:count])
-        actuators = jnp.concatenate([first, actuators[count:]])
+    motion = _motion(params, target, along, draws)
     low, high = map(jnp.asarray, starts.thrust)
-    state = model.start(of_drone, motion, actuators, (low, high))
+    state = model.start(of_drone, motion, draws["actuators"], (low, high))
     if not model.disturbed:
         return state, target
     ranges = params.disturbance

@@ -15,7 +15,7 @@ from flax import struct
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.draws import Disturbance, RecordedStarts, Start
+from quadjax.race.draws import Disturbance, Start
 from quadjax.race.track import Gate, Track
 from quadjax.vehicle.battery import Battery, BatteryState
 from quadjax.vehicle.estimator import EstimatorParams, EstimatorState
@@ -67,7 +67,6 @@ class RaceParams(struct.PyTreeNode):
     randomization: Constants  # largest relative error of each constant
     tracks: Track | None = None  # random tracks, each leaf (tracks, gates); every episode draws one
     heading: jax.Array | None = None  # (gates,) rad, center of a start's yaw; None: north
-    recorded: RecordedStarts | None = None  # states in which a part of the episodes starts
     population_width: jax.Array | None = None  # 0: the nominal drone; 1: one of the population
     mismatch: Constants | None = None  # factors on the constants of the simulated drone
     estimator: EstimatorParams | None = None  # where the observation is estimated

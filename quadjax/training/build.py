@@ -24,7 +24,6 @@ from quadjax.policy.inference import PolicyParams
 from quadjax.policy.own_network import OwnNetwork
 from quadjax.race.environment import make_environment, with_critic_constants
 from quadjax.race.types import RaceParams, RaceState
-from quadjax.training.inputs import read_starts
 from quadjax.vehicle.registry import base_model
 from quadjax.vehicle.residual import is_shipped, read_residual
 
@@ -96,16 +95,14 @@ def make_learner(config: Config) -> tuple[Learner[RaceParams], Plan]:
 
 
 def training_params(config: Config) -> RaceParams:
-    """Every number of the race in training.
-
-    They include the factors of ``input_scale`` and the states of ``run.start_states``.
+    """Every number of the race in training, with the factors of ``input_scale``.
 
     Raises:
-        InputError: a file that cannot be read, or that is of another vehicle or track.
+        InputError: a residual file that cannot be read.
     """
-    params, scale = make_params(config), input_scale(config)
+    scale = input_scale(config)
     factors = jnp.asarray(scale, jnp.float32) if scale else None
-    return params.replace(observation_scale=factors, recorded=read_starts(config, params))
+    return make_params(config).replace(observation_scale=factors)
 
 
 def start_state(

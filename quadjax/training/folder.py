@@ -17,7 +17,6 @@ FREE = ("run.devices", "run.checkpoint_seconds", "run.tensorboard", "run.compila
 INPUTS = {  # files of a config, and their copies in the run's folder
     "vehicle.residual": "inputs/residual.npz",
     "run.initial_policy": "inputs/initial_policy.npz",
-    "run.start_states": "inputs/start_states.npz",
 }
 FILES = (
     "config.yaml",

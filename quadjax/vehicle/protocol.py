@@ -90,7 +90,6 @@ class VehicleModel:
         populations: ``(nominal, numbers) -> constants`` by name, for ``randomization.population``:
             a drone of a population, of one number in [-1, 1] for each constant.
         moment_unit: unit of a moment: N m, or rad/s^2 where it is per inertia.
-        uses_start_thrust: whether ``start`` uses the config's ``start.thrust``.
         has_battery: whether commands and actuators are propeller speeds, rpm, ``Rotors``, which a
             battery limits.
         has_residual: whether ``VehicleParams.residual`` is used.
@@ -107,7 +106,6 @@ class VehicleModel:
     actuators: ClassVar[Signal]
     populations: ClassVar[Mapping[str, Population]] = MappingProxyType({})
     moment_unit: ClassVar[str] = "N m"
-    uses_start_thrust: ClassVar[bool] = False
     has_battery: ClassVar[bool] = False
     has_residual: ClassVar[bool] = False
     can_be_disturbed: ClassVar[bool] = False

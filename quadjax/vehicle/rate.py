@@ -47,7 +47,6 @@ class Rate(VehicleModel):
     constants = RateConstants
     commands = (Signal("body_rates", 3, "rad/s"), Signal("thrust", 1, "m/s^2"))
     actuators = Signal("thrust", 1, "m/s^2")
-    uses_start_thrust = True
 
     def actuator_rate(
         self, c: RateConstants, actuators: jax.Array, command: RateCommand

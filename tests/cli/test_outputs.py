@@ -105,7 +105,7 @@ WRITERS = ["export e2e", "train e2e", "sil e2e", "fit standin", "sweep learning_
 def test_a_folder_without_permission_is_refused_at_once(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
-    for command in (*WRITERS[1:], "compare standin", "improve e2e --policy e2e"):  # to runs
+    for command in (*WRITERS[1:], "compare standin"):  # to runs
         assert "error: --output: runs" in refusal(capsys, *command.split())
     for command in WRITERS:
         error = refusal(capsys, *command.split(), "--output", "new/one")

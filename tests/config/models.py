@@ -3,13 +3,9 @@
 from quadjax.vehicle.rate import Rate
 
 
-class NoThrust(Rate):
-    uses_start_thrust = False
-
-
 class NoRatio(Rate):
     def thrust_to_weight(self, c):
         return None
 
 
-NO_THRUST, NO_RATIO = NoThrust(), NoRatio()
+NO_RATIO = NoRatio()

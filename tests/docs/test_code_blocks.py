@@ -2,11 +2,10 @@
 
 The trainings of the quickstart run; those of the other pages leave the policy as it begins, write
 no checkpoint, and end without a lap table: their race is traced. Trials of a sweep train nothing.
-``compare``, ``fit``, ``improve`` and ``limit`` read their arguments and files only, ``verify`` on
-all pages but one: ``tests/evaluation``, ``tests/improve`` and ``tests/surface`` run them. Flights
-of exported C end early. The blocks of a page run in order in one folder. Python blocks share a
-namespace; a block with a title is written to a file of that name; shell blocks consist of
-``quadjax`` commands.
+``compare``, ``fit`` and ``limit`` read their arguments and files only, ``verify`` on all pages but
+one: ``tests/evaluation`` and ``tests/surface`` run them. Flights of exported C end early. The
+blocks of a page run in order in one folder. Python blocks share a namespace; a block with a title
+is written to a file of that name; shell blocks consist of ``quadjax`` commands.
 """
 
 import dataclasses
@@ -25,7 +24,7 @@ import pytest
 import yaml
 from matplotlib.figure import Figure
 
-from quadjax import compare, improve, replay
+from quadjax import compare, replay
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.evaluation import report, training
 from quadjax.export.verify import run as verification
@@ -54,7 +53,6 @@ OPTIONS = {  # added to a command, unless it has them
     "evaluate": ["--runs", "1", "--laps", "1"],  # as view: of one shape, compiled once
     "conditions": ["--runs", "1"],  # of evaluate, too, which have their own laps
     "flights": [],
-    "improve": ["network.hidden=[8]"],
     "logs": ["--flights", "1", "--laps", "1"],
     "sil": ["--laps", "1"],
     "view": ["--laps", "1"],
@@ -146,7 +144,6 @@ def test_blocks_run(page, folder, monkeypatch):
     for module in (replay, report):
         monkeypatch.setattr(module, "FORMATS", ("png",))
     monkeypatch.setattr(compare, "compare", lambda *_: "")
-    monkeypatch.setattr(improve, "improve", lambda *_: "")
     monkeypatch.setattr(fit, "fit", lambda *_: None)
     for name, stand_in in {"write_results": write_fitted, "write_figures": lambda *_: []}.items():
         monkeypatch.setattr(fit_report, name, stand_in)

@@ -106,7 +106,7 @@ def test_a_policy_of_an_own_model_starts_a_run(tmp_path):
     policy = random_policy("rate")
     policy.save(path)
     overrides = ["network.hidden=[8]", "network.activation=relu", f"run.initial_policy={path}"]
-    config = load_config(BLANK, [*overrides, "vehicle.model=tests.config.models:NO_THRUST"])
+    config = load_config(BLANK, [*overrides, "vehicle.model=tests.config.models:NO_RATIO"])
     assert initial_policy(config).vehicle == "rate"
     with pytest.raises(InputError, match="has vehicle rate, the config has motor"):
         initial_policy(load_config(BLANK, overrides))

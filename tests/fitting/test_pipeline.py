@@ -159,6 +159,12 @@ def test_keys_without_effect_are_refused(words, two):
         fit(load_fit_config(CONFIG, words), two)
 
 
+def test_logs_of_a_drone_that_turns_faster_than_the_vehicle_are_refused(two):
+    words = (f"logs.files=[{two}/*.csv]", "body.rpm_range=[3000, 5000]")
+    with pytest.raises(InputError, match="rpm, those of the vehicle are 3000 to 5000"):
+        fit(load_fit_config(CONFIG, words), two)
+
+
 def test_missing_logs_of_the_simulated_drone_say_how_they_are_made(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run("fit", "standin") == 2

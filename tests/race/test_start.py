@@ -7,15 +7,9 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from quadjax.config.assembly import make_choices
-from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
-from quadjax.flights import Flight, Signal, save
-from quadjax.flights.flight import MOTION
 from quadjax.race.episode import draw_start
 from quadjax.race.track import inside_turn
-from quadjax.training.build import training_params
-from quadjax.training.inputs import states_of
 from quadjax.vehicle.registry import MODELS
 from tests import reference as ref
 from tests.convert import rows_of
@@ -24,7 +18,6 @@ from tests.race.support import (
     COURSE,
     compiled_reset,
     hover_state,
-    make_config,
     make_race,
     track_of,
 )
@@ -205,59 +198,6 @@ def test_a_start_that_is_put_past_its_gate_is_mirrored(tilt):
     assert past.sum() > 50
     mirrored = moved - np.where(past, 2 * depth, 0)[:, None] * through
     np.testing.assert_allclose(found, mirrored, atol=1e-4)
-
-
-def recorded(count: int = 5, **wrong) -> Flight:
-    random = np.random.default_rng(3)
-    arrays = {name: random.normal(size=(count, 3)) for name in MOTION}
-    actuators = {"actuators": random.uniform(3000.0, 11000.0, (count, 4))}
-    target = {"target": np.arange(count, dtype=float)[:, None] % 4}
-    values = arrays | actuators | target | wrong
-    signals = {name: Signal(array) for name, array in values.items()}
-    return Flight("states", np.arange(float(count)), signals)
-
-
-def test_a_part_of_the_episodes_starts_in_recorded_states(tmp_path):
-    flight, path = recorded(), tmp_path / "states.npz"
-    save([flight], path)
-    config = make_config(f"run.start_states={path}", "run.start_states_part=0.4")
-    state, rows = drawn(make_choices(config), training_params(config))
-    distance = np.linalg.norm(rows[:, None, ref.V] - flight["velocity"][None], axis=2)
-    which, used = distance.argmin(axis=1), distance.min(axis=1) < 1e-5
-    assert used.mean() == pytest.approx(0.4, abs=0.03)
-    for name, columns in (("position", ref.P), ("attitude", ref.EULER), ("actuators", ref.RPM)):
-        expected = flight[name][which[used]]
-        np.testing.assert_allclose(rows[used][:, columns], expected, rtol=1e-5, atol=1e-5)
-    np.testing.assert_array_equal(state.target[used], flight.target[which[used]])
-    np.testing.assert_array_equal(state.target[~used], 0)
-
-
-def test_files_of_states_that_do_not_fit_are_one_line(tmp_path):
-    path = tmp_path / "states.npz"
-    for name, wrong, says in (
-        ("target", np.full((5, 1), 4.0), "target is 4 to 4, allowed: the track's gates, 0 to 3"),
-        ("actuators", np.ones((5, 1)), "has 1 actuators, the config's vehicle has 4"),
-        ("rates", np.full((5, 3), np.nan), "rates"),
-        ("velocity", None, "velocity is missing"),
-    ):
-        flight = recorded()
-        signals = dict(flight.signals) | ({} if wrong is None else {name: Signal(wrong)})
-        signals = {key: x for key, x in signals.items() if wrong is not None or key != name}
-        save([flight.replace(signals=signals)], path)
-        with pytest.raises(InputError, match=says):
-            training_params(make_config(f"run.start_states={path}"))
-
-
-def test_each_node_of_a_best_known_lap_has_the_gate_ahead_as_its_target():
-    passages = np.array([[2.0 * (gate + 1), gate, 0.0] for gate in range(4)])
-    lap = recorded(9, attitude=np.full((9, 3), 4.0))
-    signals = {name: signal for name, signal in lap.signals.items() if name != "target"}
-    lap = lap.replace(signals=signals, passages=passages, source={"periodic": True})
-    states = states_of("lap.npz", [lap.replace(gates=make_config().track.gates)])
-    assert states["target"].tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
-    np.testing.assert_array_equal(states["position"], lap["position"][:-1])
-    np.testing.assert_allclose(states["attitude"], 4.0 - 2.0 * np.pi)
-    np.testing.assert_array_equal(states["actuators"], lap["actuators"][:-1])
 
 
 def test_starts_of_a_race():

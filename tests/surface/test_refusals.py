@@ -153,11 +153,6 @@ compare standin sensors.mocap.dropout=1 | sensors.mocap.dropout
 compare standin sensors.accelerometer.bias_walk=.nan | bias_walk nan
 compare standin sensors.gyro.low_pass=250 | sensors.gyro.low_pass 250 (none)
 compare standin sensors.gps=1 | sensors.gps
-improve e2e --policy e2e --logs nosuch.csv | nosuch.csv
-improve e2e --policy e2e --logs '' | '' logs.files
-improve e2e --policy e2e --logs short.csv --seed 0 | --seed effect --logs
-improve e2e --policy e2e --rounds 0 | --rounds 100
-improve e2e --policy e2e vehicle.model=rate | vehicle.model motor
 view e2e --name a --name b | --name flights
 view nosuch.npz | nosuch.npz run .csv shipped
 view '' | '' run .csv shipped
