@@ -36,7 +36,6 @@ Listed = Annotated[
     str | None,
     opt.config_of(
         "conditions",
-        name=("--conditions", "--study"),
         metavar="NAME",
         help=f"List of conditions: {', '.join(preset_names('conditions'))}, or a YAML file.",
     ),

@@ -240,7 +240,7 @@ def test_without_the_estimate_flights_fail_under_moments_and_are_slower_with_dam
 def test_more_drones_crash_with_larger_errors(tmp_path):
     def study(name, *options):
         files = ("--policy", "e2e_fastest", "--json", tmp_path / "found.json")
-        options = ("--study", name, "--runs", 60, *options)
+        options = ("--conditions", name, "--runs", 60, *options)
         assert run("evaluate", "e2e +fastest", *files, *options) == 0
         return json.loads((tmp_path / "found.json").read_text())["flights"]
 

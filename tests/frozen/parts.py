@@ -128,9 +128,9 @@ def flights() -> Iterator[tuple[str, Record]]:
             yield f"{policy}, {protocol}", record(arrays, values)
             Path(f"{policy}.json").unlink()
             Path(f"{policy}.npz").unlink()
-        table = numbers_of(command(*base, "--study", "spread", "--runs", 100, "--seconds", 6))
+        table = numbers_of(command(*base, "--conditions", "spread", "--runs", 100, "--seconds", 6))
         yield f"{policy}, robustness", record([table], list(table))
-        table = numbers_of(command(*base, "--study", "random-tracks", "--runs", 20))
+        table = numbers_of(command(*base, "--conditions", "random-tracks", "--runs", 20))
         yield f"{policy}, random tracks", record([table], list(table))
 
 

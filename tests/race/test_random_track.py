@@ -159,7 +159,7 @@ def test_headings_of_one_track_are_refused_on_random_tracks():
 @pytest.mark.slow
 def test_flights_on_new_tracks_are_counted(tmp_path, capsys):
     arguments = ["evaluate", "e2e +fastest", "--policy", str(PRETRAINED / "e2e_fastest.npz")]
-    arguments += ["--study", "random-tracks"]
+    arguments += ["--conditions", "random-tracks"]
     options = ("--runs", 4, "--laps", 2, "--json", tmp_path / "found.json")
     assert run(*arguments, *options) == 0
     found = json.loads((tmp_path / "found.json").read_text())
