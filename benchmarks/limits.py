@@ -2,7 +2,7 @@
 
 Each pair of a track and a drone is written to FOLDER as .json and .npz when it is done. A pair with
 a .json file is not computed again, so that the script continues where it was interrupted. An .npz
-file without one, such as a lap of an earlier version, is an initial guess.
+file without one, such as of ``quadjax limit --npz``, is an initial guess.
 
     python -m benchmarks.limits FOLDER [--tracks square4 ..] [--drones a2rl ..] [--seconds 300]
 """

@@ -19,7 +19,7 @@ from quadjax.fitting.formats import FORMATS as LOG_FORMATS
 from quadjax.fitting.log_table import read_head
 from quadjax.flights import files, gates
 from quadjax.flights.flight import Flight
-from quadjax.policy.file import FORMATS as POLICY_FORMATS
+from quadjax.policy.file import FORMAT as POLICY_FORMAT
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 from quadjax.race.track import TrackSection
@@ -37,7 +37,6 @@ def load_flights(
     race: Config | None = None,
     logs: LogsConfig | None = None,
     progress: Callable[[str], None] = lambda line: None,
-    report: Callable[[str], None] = lambda line: None,
     **options: Any,
 ) -> list[Flight]:
     """Flights of one source.
@@ -51,7 +50,6 @@ def load_flights(
         race: that policies fly, and whose gates logs pass; None: a policy's own.
         logs: columns and frames of flight logs; None: those of a known format, by the header.
         progress: called with the policy that is simulated.
-        report: called with a line of text for a policy that flies the race of a preset.
         options: arguments of ``quadjax.evaluate`` for policies; one run of the mean action if not
             given.
 
@@ -72,14 +70,14 @@ def load_flights(
         allowed = f"a run's folder, {', '.join(SUFFIXES)}"
         raise InputError(f"{source}: suffix is {path.suffix!r}, allowed: {allowed}")
     if path.suffix == ".npz" and not is_policy:
-        _, meta = read_npz(path, (*POLICY_FORMATS, *files.FORMATS))
-        is_policy = meta["format"] in POLICY_FORMATS
+        _, meta = read_npz(path, (POLICY_FORMAT, files.FORMAT))
+        is_policy = meta["format"] == POLICY_FORMAT
     if is_policy:
         progress(f"simulating {path}")
-        return fly(path, label, race, report, **options)
+        return fly(path, label, race, **options)
     if path.suffix in LOGS:
         return [load_log(path, label, logs, None if race is None else race.track)]
-    return files.load(path, () if race is None else race.track.gates, name or "")
+    return files.load(path, name or "")
 
 
 def _policy_of_run(folder: Path) -> Path:
@@ -93,19 +91,13 @@ def _policy_of_run(folder: Path) -> Path:
     return newest if newest.is_file() and not is_finished(folder) else policy
 
 
-def fly(
-    path: Path,
-    name: str,
-    race: Config | None = None,
-    report: Callable[[str], None] = lambda line: None,
-    **options: Any,
-) -> list[Flight]:
+def fly(path: Path, name: str, race: Config | None = None, **options: Any) -> list[Flight]:
     """Flights of a policy file in its race, or in another one, and published lap times.
 
     The arguments are those of ``load_flights``.
     """
     policy = Policy.load(path, race)
-    race, _ = race_of_policy(policy, path, race, report=report)
+    race, _ = race_of_policy(policy, path, race)
     arguments = {"runs": 1, "deterministic": True} | options
     return evaluate(policy, race, name=str(path), **arguments).named_flights(name)
 
@@ -181,7 +173,7 @@ def load_groups(
 def _recorded(path: Path, track: TrackSection, logs: LogsConfig | None) -> list[Flight]:
     """The flights of a file, or of a log up to the end of its last lap."""
     if path.suffix.lower() == ".npz":
-        flights = files.load(path, track.gates)
+        flights = files.load(path)
         return [flight.replace(name=str(run)) for run, flight in enumerate(flights, start=1)]
     if path.suffix.lower() not in LOGS:
         raise InputError(f"{path}: suffix is {path.suffix!r}, allowed: .npz, {', '.join(LOGS)}")

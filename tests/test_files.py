@@ -17,14 +17,23 @@ from quadjax.vehicle.residual import read_residual, write_residual
 from tests import reference as ref
 from tests.convert import residual_of
 
+FIELDS = (  # of the observation of a rate policy
+    {"name": "position", "size": 3, "unit": "m", "frame": "gate"},
+    {"name": "velocity", "size": 3, "unit": "m/s", "frame": "gate"},
+    {"name": "attitude", "size": 3, "unit": "rad", "frame": "gate"},
+    {"name": "rates", "size": 3, "unit": "rad/s", "frame": "body"},
+    {"name": "thrust", "size": 1, "unit": "m/s^2", "frame": "body", "span": [[0, 15]]},
+    {"name": "next_position", "size": 3, "unit": "m", "frame": "gate"},
+    {"name": "next_yaw", "size": 1, "unit": "rad", "frame": "gate"},
+)
 POLICY_META = {
-    "format": "quadjax-policy/1",
+    "format": "quadjax-policy/2",
     "vehicle": "rate",
     "activation": "relu",
     "output": "clip",
     "command_low": [-3, -3, -3, 0],
     "command_high": [3, 3, 3, 15],
-    "observation": {"wrap_next_yaw": True},
+    "layout": FIELDS,
     "source": {"run": "test"},
 }
 RESIDUAL_META = {
@@ -143,12 +152,12 @@ POLICY_DAMAGE = {
         {},
         "kernel_1 has 1e+30, allowed: up to",
     ),
-    "other inputs": (lambda a: a, {"vehicle": "motor"}, "17"),
+    "other inputs": (lambda a: a, {"layout": FIELDS[1:]}, "observes 14 numbers"),
     "a residual": (lambda a: a, {"format": "quadjax-residual/1"}, "quadjax-residual/1"),
-    "vehicle": (lambda a: a, {"vehicle": "boat"}, "boat"),
+    "another format": (lambda a: a, {"format": "quadjax-policy/1"}, "expected quadjax-policy/2"),
     "huge limits": (lambda a: a, {"command_high": [3, 3, 3, 10**400]}, "command_high"),
-    "observation": (lambda a: a, {"observation": [1, 2]}, "observation"),
-    "no layout": (lambda a: a, {"format": "quadjax-policy/2"}, "layout"),
+    "no layout": (lambda a: a, {"layout": None}, "meta 'layout' is None, expected a list"),
+    "no field": (lambda a: a, {"layout": [1, 2]}, "meta 'layout'[0]"),
     "a value's outputs": (lambda a: a | with_value(17, 4), {}, "17 and 1"),
 }
 RESIDUAL_DAMAGE = {
@@ -265,4 +274,4 @@ def test_an_array_with_a_header_of_version_3(tmp_path):
     path = save(tmp_path / "p.npz", {}, POLICY_META)
     with zipfile.ZipFile(path, "a") as archive, archive.open("kernel_0.npy", "w") as stream:
         np.lib.format.write_array(stream, np.ones((3, 2)), version=(3, 0))
-    np.testing.assert_array_equal(read_npz(path, "quadjax-policy/1")[0]["kernel_0"], 1.0)
+    np.testing.assert_array_equal(read_npz(path, "quadjax-policy/2")[0]["kernel_0"], 1.0)

@@ -10,7 +10,7 @@ from cyclopts import Group, Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.export import Ranges
-from quadjax.cli.output import note, steps, wrote
+from quadjax.cli.output import steps, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json
 from quadjax.core.folders import results
@@ -189,7 +189,7 @@ def _entry(
     race = None if config is None else load_config(config, overrides)
     policy = Policy.load(path, race)
     try:
-        race, _ = race_of_policy(policy, path, race, report=note)
+        race, _ = race_of_policy(policy, path, race)
     except InputError as error:
         text = str(error).replace("config=CONFIG", "quadjax evaluate CONFIG")
         raise InputError(text) from None

@@ -51,8 +51,7 @@ def export(
         name: Name of the .qjp file and of the table in C (default: the file's name).
         range_: Declare +-R for an input instead of the default, a power of two:
             position=16; may be repeated.
-        race: Training config of the policy's race (default: the one in the policy file, or
-            the preset that it names).
+        race: Training config of the policy's race (default: the one in the policy file).
         sample_rate: Sample rate of the estimators, Hz (default: 512).
         cutoff: Cut-off of the disturbance estimator's low-pass, Hz (default: 8).
         sampled: The C samples the actions with the noise of the training (default: the

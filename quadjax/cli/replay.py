@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from quadjax.cli import options as opt
-from quadjax.cli.output import note, steps, wrote
+from quadjax.cli.output import steps, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json
 from quadjax.core.folders import results
@@ -71,7 +71,7 @@ def replay(
     network = flown = drone = None
     if policy is not None:
         network = Policy.load(policy, race)
-        drone, origin = race_of_policy(network, policy, race, track, note)
+        drone, origin = race_of_policy(network, policy, race, track)
         flown = policy_race(drone, network, origin, str(policy))
     gates = drone and drone.track
     if vehicle is not None:

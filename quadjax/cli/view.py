@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from quadjax.cli import options as opt
-from quadjax.cli.output import note, steps, wrote
+from quadjax.cli.output import steps, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json
 from quadjax.core.interruptions import loading
@@ -51,7 +51,7 @@ def view(
         output: Page, or its data (.json), or the flights (.npz).
         name: Name of the first of FLIGHTS; repeat it for the next ones.
         title: Title of the page (default: the track's name).
-        race: Race of the policies, and gates of files that contain none.
+        race: Race of the policies, and gates that the logs pass.
         laps: Laps of policies (default: evaluate.laps).
         runs: Runs of each policy.
         sampled: Sampled actions of policies.
@@ -70,7 +70,7 @@ def view(
     config = load_config(race) if race else None
     columns = logs.columns() if logs.logs else None
     how: dict[str, Any] = {"runs": runs, "laps": laps, "deterministic": not sampled, "seed": seed}
-    how |= {"race": config, "logs": columns, "report": note}
+    how |= {"race": config, "logs": columns}
     title = title or (config.track.name if config else "") or "Flights"
     with steps() as report:
         labels = [*names, *[None] * (len(flights) - len(names))]

@@ -23,7 +23,6 @@ FORMATS = ("pdf", "svg", "png")
 FILES = (
     *("table.txt", "table.tex", "report.json"),
     *("boxes.*", "gaps.*", "trajectories.*", "errors_*.*"),
-    *("architectures.*", "toolchain.*"),  # of earlier versions
 )
 STYLES = ("-", "--", "-.", ":")
 SHADES = [0.1, 0.55, 0.75]  # of measured, marks and model in a color map

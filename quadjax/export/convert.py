@@ -37,8 +37,7 @@ from quadjax.export.targets import DEFAULT_TARGET, TARGETS, find_target, runtime
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 
-FOLDERS = ("paparazzi", "indiflight", "indiflight_2026", "qjp", "px4", "crazyflie", "c")
-ROLLOUTS_FILE = "rollouts.npz"  # of earlier releases
+FOLDERS = ("paparazzi", "indiflight", "qjp", "px4", "crazyflie", "c")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +91,7 @@ def export_c(
         policy: a policy or the path of a policy file.
         folder: where the C goes.
         config: the race that the policy was trained in: a config or the path of one.
-            Without it: the config in the policy file, or the preset that the file names.
+            Without it: the config in the policy file.
         ranges: half-widths of the inputs that differ from the defaults, powers of two, by name:
             ``{"position": 16.0}``.
         name: name of the files and of the table in C; the policy file's name by default.
@@ -126,7 +125,7 @@ def export_c(
     folder = Path(folder)
     file = POLICY_FILE if isinstance(policy, Policy) else Path(policy).name
     symbol = symbol_name(name, file)
-    inputs = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, ROLLOUTS_FILE, INNER_LOOP)
+    inputs = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, INNER_LOOP)
     files = (*inputs, f"{symbol}[._]*", *FOLDERS)
     check_new_folder(folder, symbol, overwrite)
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
@@ -187,12 +186,11 @@ def _policy_file(policy: Policy | Path | str) -> Iterator[Path]:
 
 def _optional(name: str) -> tuple[str, ...]:
     """Files that not every export writes; those of an earlier export are removed."""
-    parts = ("", "_race", "_estimator", "_battery")  # of earlier releases
-    files = [f"{name}{part}.{end}" for part in parts for end in "ch"]
+    files = []
     for target in TARGETS.values():
         sources = ("qj_sizes.h", "quadjax_policy.h", f"{name}.h")
         files += [*runtime_files(target), *(f"{target.folder}/{file}" for file in sources)]
-    return (*dict.fromkeys(files), RESIDUAL_FILE, ROLLOUTS_FILE, INNER_LOOP)
+    return (*dict.fromkeys(files), RESIDUAL_FILE, INNER_LOOP)
 
 
 def _remove_empty(folder: Path) -> None:

@@ -15,7 +15,7 @@ from quadjax.core.errors import InputError
 from quadjax.export.names import RESIDUAL_FILE
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, fit_race, make_pilot
-from quadjax.policy.race import preset_of, race_of_policy
+from quadjax.policy.race import race_of_policy
 from quadjax.race.observation_config import ESTIMATED
 from quadjax.race.observations import HIGHEST_RPM
 from quadjax.race.types import Choices, RaceParams
@@ -113,7 +113,7 @@ def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> C
 
 
 def check_race(policy: Policy, race: PolicyRace, file: Path) -> str:
-    """Check that a race is the one in the policy's file, where the policy was trained.
+    """Check that a race is the one in the policy's file, if it has one.
 
     Vehicle, residual, track, gate test and time step are compared.
 
@@ -123,24 +123,16 @@ def check_race(policy: Policy, race: PolicyRace, file: Path) -> str:
     Raises:
         InputError: the first difference.
     """
-    named, difference = policy.source.get("residual"), None
-    has_residual = race.params.vehicle.residual is not None
-    if policy.config is None and "residual" in policy.source and bool(named) != has_residual:
-        has, compared = "no residual" if named else "a residual", ""
-        difference = f"vehicle.residual is {named or 'null'} in training, {has} here"
-    elif policy.config is not None or preset_of(policy):
-        config, _ = race_of_policy(policy, file.name)
-        training_facts = _facts(policy_race(config, policy, "the policy file", file.name))
-        difference = next(_differences(training_facts, _facts(race)), None)
-        compared = "vehicle, track, gate test and time step are those of the policy file"
-    else:
-        compared = "the policy file names no race"
-    if difference is not None:
+    if policy.config is None:
+        return "the policy file has no config"
+    config, _ = race_of_policy(policy, file.name)
+    training_facts = _facts(policy_race(config, policy, "the policy file", file.name))
+    if difference := next(_differences(training_facts, _facts(race)), None):
         raise InputError(
             f"{file.name}: trained in another race than {race.origin}: {difference}; "
             "allow_other_race=True accepts it"
         )
-    return compared
+    return "vehicle, track, gate test and time step are those of the policy file"
 
 
 def _differences(training: Facts, exported: Facts) -> Iterator[str]:

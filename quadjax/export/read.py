@@ -1,6 +1,5 @@
 """Reads a ``.qjp`` file; rejects whatever the writer does not write and the C does not load."""
 
-import hashlib
 import zlib
 from pathlib import Path
 
@@ -12,14 +11,13 @@ from quadjax.export.battery import BatteryTables
 from quadjax.export.cases import MEASUREMENTS, SAMPLES, Cases
 from quadjax.export.check import check, passes
 from quadjax.export.disturbances import CHANNELS, MONOMIALS, EstimatorTables, FixedResidual
-from quadjax.export.integers import DIGEST_START, Rescale
+from quadjax.export.integers import Rescale
 from quadjax.export.network import FixedLayer, FixedNetwork
 from quadjax.export.noise import NoiseTables
 from quadjax.export.race_tables import TRACK, Input, RaceTables
 from quadjax.export.ranges import InputBox
 from quadjax.export.words import (
     BLOCK,
-    COMMANDS,
     HEADER,
     KINDS,
     MAGIC,
@@ -31,7 +29,6 @@ from quadjax.export.words import (
     case_groups,
     pack,
     padded,
-    sealed,
 )
 from quadjax.race.layout import Layout, ObservedField, split_name
 from quadjax.race.observations import fields_of
@@ -42,7 +39,7 @@ SIZES_DIFFER = "its sizes are not those of its header"
 
 
 def read_qjp(path: Path | str) -> FixedPolicy:
-    """Read a ``.qjp`` file of this or the first version of the format, and check it.
+    """Read a ``.qjp`` file and check it.
 
     Raises:
         InputError: no such file, not a .qjp, damaged, of another version, or one of which the
@@ -61,7 +58,7 @@ def unpack(data: bytes) -> FixedPolicy:
     """As ``read_qjp``, of the bytes of a file."""
     try:
         with np.errstate(all="ignore"):
-            data = _intact(data)
+            _check_intact(data)
             policy = read_words(data)
             same = pack(policy) == data
             check(policy)
@@ -82,46 +79,20 @@ def read_words(data: bytes) -> FixedPolicy:
     return _Reader(data[:-4]).policy()
 
 
-def _intact(data: bytes) -> bytes:
-    """Words of this version, after magic, version, size and checksum."""
-    if len(data) < 240 or len(data) % 4:
+def _check_intact(data: bytes) -> None:
+    """Check magic, version, size and checksum."""
+    if len(data) < HEADER.itemsize + 4 or len(data) % 4:
         raise InputError(f"{len(data)} bytes, which no .qjp file has")
     magic, version, size = (int(x) for x in np.frombuffer(data[:12], "<u4"))
     if magic != MAGIC:
         raise InputError("not a .qjp file")
-    if version not in (1, VERSION, SAMPLED_VERSION):
-        raise InputError(f"version {version} of the format, allowed: 1 to {SAMPLED_VERSION}")
+    if version not in (VERSION, SAMPLED_VERSION):
+        allowed = f"{VERSION} and {SAMPLED_VERSION}"
+        raise InputError(f"version {version} of the format, allowed: {allowed}")
     if size != len(data):
         raise InputError(f"{len(data)} bytes, its header says {size}")
-    if version == 1:
-        intact = hashlib.sha256(data[:-32]).digest() == data[-32:]
-    else:
-        intact = zlib.crc32(data[:-4]).to_bytes(4, "little") == data[-4:]
-    if not intact:
+    if zlib.crc32(data[:-4]).to_bytes(4, "little") != data[-4:]:
         raise InputError("changed since it was written: its checksum differs")
-    if version != 1 and len(data) < HEADER.itemsize + 4:
-        raise InputError(f"{len(data)} bytes, which no .qjp file has")
-    return _upgraded(data) if version == 1 else data
-
-
-def _upgraded(data: bytes) -> bytes:
-    """The words of version 1 of the format as words of this version."""
-    old = np.frombuffer(data[:-32], "<i4")
-    inputs, layers, state, fields, parts = (int(old[i]) for i in (3, 5, 6, 7, 8))
-    header = np.zeros(1, HEADER)
-    first = header.view("<i4")
-    first[:4], first[4:17] = old[:4], old[5:18]  # without the number of commands
-    header["version"], header["history_digest"] = VERSION, DIGEST_START
-    first[20:40] = old[18:38]  # hash, name and vehicle; then the places of the rotors
-    first[40:48] = old[42:50]
-    if old[4] != COMMANDS or not np.array_equal(old[38:42], np.arange(COMMANDS)):
-        raise InputError("other than four commands, or rotors in another order")
-    ends = np.cumsum([50, 5 * layers, 3 * fields + state, 10 * parts, 4 * inputs])
-    certificates = old[ends[0] : ends[1]].reshape(layers, 5)[:, :2]
-    observed = old[ends[2] : ends[3]].reshape(parts, 10)
-    observed = np.insert(observed, 4, 0, axis=1)  # without a lag
-    pieces = (first, certificates, old[ends[1] : ends[2]], observed, old[ends[3] :])
-    return sealed(b"".join(np.ascontiguousarray(piece, "<i4").tobytes() for piece in pieces))
 
 
 # ---- words ---------------------------------------------------------------------------------------

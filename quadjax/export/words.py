@@ -21,8 +21,7 @@ generated from it. The words have 32 bits, little-endian, and follow each other:
 Names are ASCII with a zero at the end. Numbers of 64 bits are two words, the low one first. The
 loader accepts words only if the checksum matches, every count and number is allowed, no sum reaches
 2^63 - 2^30, no hidden output exceeds 2^30 - 1, padding is zero, and every self-test gives the
-stated integers; ``qj_load`` returns what is wrong as a number (``qj_error``). Python also reads
-version 1, which has a SHA-256, and neither a history nor estimators.
+stated integers; ``qj_load`` returns what is wrong as a number (``qj_error``).
 """
 
 import dataclasses
@@ -166,12 +165,7 @@ def pack(policy: FixedPolicy) -> bytes:
     shifts = np.concatenate([part.numbers["shift"] for part in policy.race.inputs])
     if not np.all((shifts >= 1) & (shifts <= LARGEST_SHIFT)):
         raise InputError(f"allowed: scales of 2^-1 to 2^-{LARGEST_SHIFT}")
-    return sealed(b"".join(part.tobytes() for part in _parts(policy)))
-
-
-def sealed(words: bytes) -> bytes:
-    """Words with their number of bytes and their checksum."""
-    data = bytearray(words)
+    data = bytearray(b"".join(part.tobytes() for part in _parts(policy)))
     data[BYTES_AT : BYTES_AT + 4] = np.uint32(len(data) + 4).tobytes()
     return bytes(data) + np.uint32(zlib.crc32(data)).tobytes()
 

@@ -1,7 +1,7 @@
 """Flights: signals over time and passages of gates, from a simulation, a log or a file.
 
 ``flight`` has the class, ``gates`` the rule by which a path passes a gate, ``files`` the file
-format, ``earlier`` the readers of files of earlier versions.
+format.
 """
 
 from quadjax.flights.files import load, save

@@ -1,6 +1,6 @@
-"""Files of flights, and of lap times: one format that is written, and readers of earlier ones.
+"""Files of flights, and of lap times.
 
-World frame NED, body frame FRD. The written file (``.npz``, format ``quadjax-flights/2``) has, for
+World frame NED, body frame FRD. A file of flights (``.npz``, format ``quadjax-flights/2``) has, for
 f flights of at most n samples, with NaN where a flight has less:
 
 - ``time`` (f, n), s; ``position`` and ``velocity`` (f, n, 3), m and m/s, world;
@@ -20,9 +20,7 @@ each command held for 1 ms; or, if none does, only the nodes, and the reason as 
 
 A ``.csv`` file has a line for each time of each flight. Its header has the units: ``run``,
 ``time [s]``, ``position_x [m]``, .., ``command_front_left [rpm]``, .. Runs and gates are numbered
-from 0. Files of earlier versions are read: ``quadjax-states/1``, ``quadjax-limit/1`` and
-``quadjax-starts/1``. Where such a file has no ``target``, a gate counts as passed where the path
-goes through its opening.
+from 0.
 """
 
 import re
@@ -34,13 +32,12 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, read_npz, whole_file, write_npz
-from quadjax.flights.earlier import OLD_FORMATS, gates_of, read_old
+from quadjax.core.sections import validate
 from quadjax.flights.flight import Flight, Signal, numbered
 from quadjax.flights.gates import is_same_track
 from quadjax.race.track import GateSection
 
 FORMAT = "quadjax-flights/2"
-FORMATS = (FORMAT, *OLD_FORMATS)  # of .npz files
 WITH_ONE_NAME = ("time", "passages", "lap_ends")
 
 
@@ -122,27 +119,24 @@ def _save_table(flights: Sequence[Flight], path: Path | str) -> None:
         np.savetxt(temporary, np.concatenate(rows), "%.9g", ",", header=header, comments="")
 
 
-def load(path: Path | str, gates: Sequence[GateSection] = (), name: str = "") -> list[Flight]:
+def load(path: Path | str, name: str = "") -> list[Flight]:
     """The flights of a file.
 
     Args:
         path: an ``.npz`` file of ``save``, of ``quadjax evaluate --states`` or of ``quadjax limit
             --npz``; or a ``.json`` file of ``quadjax evaluate --json`` or ``quadjax limit --json``,
             whose lap times are a flight without samples.
-        gates: of the track, for a file of an earlier version that has none.
         name: of the flights, several of which are numbered. If not given: those in the file, or the
-            file's stem for lap times and flights of earlier versions.
+            file's stem for lap times.
 
     Raises:
         InputError: a file that cannot be read, of another format, or with a missing array.
     """
-    path, label = Path(path), name or Path(path).stem
+    path = Path(path)
     if path.suffix == ".json":
-        return [_read_json(path, label)]
-    _, meta = read_npz(path, FORMATS)
-    if meta["format"] != FORMAT:
-        return read_old(path, tuple(gates), label)
-    gates = gates_of(path, "gates", meta.get("gates"))
+        return [_read_json(path, name or path.stem)]
+    _, meta = read_npz(path, FORMAT)
+    gates = _gates_of(path, meta.get("gates"))
     try:
         names = {name for about in meta["flights"] for name in about["signals"]}
         if odd := [name for name in names if not re.fullmatch(r"\w{1,40}", name)]:
@@ -154,6 +148,14 @@ def load(path: Path | str, gates: Sequence[GateSection] = (), name: str = "") ->
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         text = f"{type(error).__name__}: {error}"
         raise InputError(f"{path}: arrays and meta do not fit ({text[:200]})") from error
+
+
+def _gates_of(path: Path, values: Any) -> tuple[GateSection, ...]:
+    """The gates of the metadata of a file."""
+    if not isinstance(values or [], list):
+        raise InputError(f"{path}: gates is {values!r:.80}, expected a list")
+    pairs = enumerate(values or [])
+    return tuple(validate(GateSection, each, f"{path}: gates[{index}]") for index, each in pairs)
 
 
 def _flight_at(

@@ -11,17 +11,15 @@ starts with. ``meta`` is a JSON string with
 - ``noise_on``: what the noise is added to, ``mean`` or ``clipped_mean``;
 - ``command_low`` and ``command_high``: commands of the actions -1 and 1;
 - ``layout``: the fields of the observation, in order (see ``quadjax.race.layout``);
-- ``source``: where the policy comes from; ``config`` in it names the preset of its race;
-- ``config``: the full training config;
+- ``source``: where the policy comes from, for the reader (optional);
+- ``config``: the full training config (optional). Without it, commands need the config of the race
+  that the policy flies: CONFIG or ``--race``;
 - ``residual``: numbers of the residual of the training, whose arrays are in the file (optional).
 
 A policy with a network of the user's own (``network.module``) has, in place of ``kernel_0`` .. and
 of the critic's arrays, those of the Flax parameters, such as ``actor/Dense_0/kernel`` and
 ``critic/Dense_0/kernel`` (of the scaled reward), and ``module``, the ``module:Class``, in ``meta``.
 The class is imported only if the config that the user names has it.
-
-Files of ``quadjax-policy/1`` remain readable: they have ``observation`` instead of ``layout`` and
-no ``config``.
 """
 
 import dataclasses
@@ -43,7 +41,6 @@ from quadjax.policy import inference
 from quadjax.policy.inference import PolicyParams
 from quadjax.policy.network_files import SUFFIXES, Layers
 from quadjax.policy.own_network import OwnNetwork, read_own_network
-from quadjax.policy.release_1 import layout_of_release_1
 from quadjax.race.layout import Layout
 from quadjax.race.observations import DISTURBANCES
 from quadjax.vehicle.residual import Residual, from_arrays, to_arrays
@@ -51,14 +48,14 @@ from quadjax.vehicle.residual import Residual, from_arrays, to_arrays
 if TYPE_CHECKING:
     from quadjax.config.schema import Config
 
-FORMAT, RELEASE_1 = FORMATS = ("quadjax-policy/2", "quadjax-policy/1")
+FORMAT = "quadjax-policy/2"
 VALUE = "value_"  # prefix of the critic's arrays
 Command = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Commands = Annotated[tuple[Command, ...], Field(max_length=100)]
 
 
 class Meta(Section):
-    """The metadata of a policy file that have one type in all formats."""
+    """The metadata of a policy file but for its layout, source, config and residual."""
 
     vehicle: str
     activation: Literal["relu", "tanh"]
@@ -233,7 +230,7 @@ class Policy:
 
 def _read(path: Path) -> Policy:
     """The policy of a file of this project."""
-    arrays, meta = read_npz(path, FORMATS)
+    arrays, meta = read_npz(path, FORMAT)
     own = read_own_network(path, arrays, meta["module"]) if "module" in meta else None
     layers = tuple(read_layers(path, arrays)) if own is None else ()
     actions = layers[-1][0].shape[1] if layers else np.size(arrays.get("log_std", ()))
@@ -246,7 +243,7 @@ def _read(path: Path) -> Policy:
             f"expected {actions} numbers each, as many as the last layer has outputs, the "
             "first below the second"
         )
-    layout = _layout(path, meta, low, high)
+    layout = Layout.from_meta(meta.get("layout"), f"{path}: meta 'layout'")
     if layers and layers[0][0].shape[0] != layout.size:
         raise InputError(
             f"{path}: kernel_0 takes {layers[0][0].shape[0]} inputs, but the policy observes "
@@ -273,13 +270,6 @@ def _read(path: Path) -> Policy:
         residual=residual,
         own=own,
     )
-
-
-def _layout(path: Path, meta: dict[str, Any], low: np.ndarray, high: np.ndarray) -> Layout:
-    """The layout of the observation, of either format."""
-    if meta["format"] == RELEASE_1:
-        return layout_of_release_1(path, meta, low, high)
-    return Layout.from_meta(meta.get("layout"), f"{path}: meta 'layout'")
 
 
 def _log_std(path: Path | str, arrays: dict[str, np.ndarray], actions: int) -> np.ndarray:

@@ -1,5 +1,7 @@
 """A pilot that needs no training, random policies, and laps that were not flown."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,8 +9,12 @@ import numpy as np
 from quadjax.config.assembly import make_choices, make_params
 from quadjax.config.loading import load_config
 from quadjax.policy.file import Policy
-from quadjax.policy.release_1 import layout_of_release_1
 from quadjax.race.laps import Laps
+from quadjax.race.layout import Layout
+from quadjax.race.observation_config import PUBLISHED, Observation
+from quadjax.race.observations import DISTURBANCES, make_layout
+from quadjax.vehicle.protocol import VehicleModel
+from quadjax.vehicle.registry import MODELS
 from tests.race.support import BLANK
 
 GRAVITY = 9.81
@@ -51,15 +57,38 @@ def scripted(wish: dict, observation: jax.Array, noise: jax.Array) -> jax.Array:
     return 2.0 * (command - LOW) / (HIGH - LOW) - 1.0
 
 
+def layout_of_file(
+    model: VehicleModel,
+    command_range: tuple[np.ndarray, np.ndarray],
+    widths: dict[str, float] | None = None,
+    observed: Observation = PUBLISHED,
+) -> Layout:
+    """The layout of a file; ``widths`` are those that scale the observed disturbances."""
+    ends = zip(*(end.tolist() for end in command_range), strict=True)
+    spans = {model.actuators.name: tuple(ends)[-model.actuators.size :]}
+    if widths is not None:
+        for field, names in DISTURBANCES.items():
+            half = [widths.get(name, 0.0) for name in names]
+            spans[field] = tuple((-width, width) for width in half)
+    return Layout(
+        tuple(
+            dataclasses.replace(field, value=None, span=spans.get(field.name))
+            for field in make_layout(model, observed).fields
+        )
+    )
+
+
 def random_policy(
-    vehicle: str = "motor", seed: int = 0, observation: dict | None = None, **changes: object
+    vehicle: str = "motor",
+    widths: dict[str, float] | None = None,
+    observed: Observation = PUBLISHED,
+    **changes: object,
 ) -> Policy:
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     inputs = {"motor": 24, "rate": 17}[vehicle]
     shapes = ((inputs, 8), (8, 4))
     layers = tuple((0.3 * random.normal(size=s), 0.1 * random.normal(size=s[1])) for s in shapes)
     low, high = (np.full(4, 3000.0), np.full(4, 11000.0)) if vehicle == "motor" else (LOW, HIGH)
-    meta = {"vehicle": vehicle, "observation": observation or {}}
     low, high = changes.get("command_low", low), changes.get("command_high", high)
     values = {
         "layers": layers,
@@ -68,6 +97,6 @@ def random_policy(
         "activation": "relu",
         "command_low": low,
         "command_high": high,
-        "layout": layout_of_release_1("made up", meta, low, high),
+        "layout": layout_of_file(MODELS[vehicle], (low, high), widths, observed),
     }
     return Policy(**(values | changes))

@@ -13,6 +13,7 @@ from quadjax.policy import pilot
 from quadjax.policy.inference import mean_action
 from quadjax.race import environment, episode
 from quadjax.race.layout import Layout
+from quadjax.race.observation_config import Observation
 from quadjax.training.build import initial_policy
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
@@ -55,7 +56,7 @@ def test_the_policy_commands_what_its_file_says():
 def test_disturbances_are_seen_in_the_policys_scale():
     """Also where the race draws none, and meets a steady moment all the same."""
     widths = {"moment_x": 0.02, "moment_y": 0.02, "moment_z": 0.0, "force_z": 1.0}
-    policy = random_policy(observation={"disturbance": widths})
+    policy = random_policy(widths=widths)
     for overrides in ([], ["disturbance.moment_x=0.04", "disturbance.moment_z=0.01"]):
         choices, params, _ = make(policy, *overrides)
         state = episode.hover_start(choices, params)
@@ -69,8 +70,8 @@ def test_disturbances_are_seen_in_the_policys_scale():
 
 
 def test_the_observation_is_made_as_the_policy_was_trained():
-    seen = {"wrap_next_yaw": False, "disturbance_input": "none"}
-    choices, params, _ = make(random_policy(observation=seen))
+    observed = Observation(wrap_next_yaw=False, disturbance="none")
+    choices, params, _ = make(random_policy(observed=observed))
     # The source of the disturbance is the race's choice: it is what a drone can measure.
     assert choices.layout["moment_ext"].source == "ground_truth"
     state = episode.hover_start(choices, params).replace(target=jnp.int32(3))

@@ -19,13 +19,11 @@ from quadjax.export import convert, emulator
 from quadjax.export.conversion import sha256
 from quadjax.export.convert import export_c
 from quadjax.export.folder import read_folder
-from quadjax.export.read import read_qjp, unpack
 from quadjax.export.suitability import target_of
 from quadjax.export.verify import checks, run, toolchain
 from quadjax.export.verify.build import Library
 from quadjax.export.verify.checks import CHECKS
 from quadjax.export.verify.result import FAILED, PASSED, SKIPPED
-from quadjax.export.words import pack
 from quadjax.race.track import gates_ahead
 from tests.commands import run as command
 from tests.export.support import made
@@ -122,12 +120,6 @@ def test_a_file_is_verified_by_itself(exported, tmp_path, capsys, monkeypatch):
     assert capsys.readouterr().out.endswith(f"\nNext: quadjax sil {exported}\n")
 
 
-def test_files_of_the_first_version_stay_readable():
-    old = read_qjp(Path(__file__).parent / "version_1.qjp")
-    assert old.network.model.name == "racing" and old.race.gates > 2 and len(old.cases.inputs) > 8
-    assert pack(unpack(pack(old))) == pack(old)
-
-
 def test_the_target_decides_what_is_written(exported):
     folder = read_folder(exported)
     options = dataclasses.replace(folder.options, target="cortex-m7")
@@ -215,8 +207,10 @@ def test_folders_of_other_kinds_are_refused(exported, tmp_path):
 def test_a_folder_holds_one_export(tmp_path, no_flights):
     out = tmp_path / "c"
     export(out, "indi", name="first")
-    for stale in ("first_estimator.c", "first_estimator.h", "residual.npz", "rollouts.npz"):
-        (out / stale).write_text("of a motor-level policy that was exported before")
+    (out / "c").mkdir()
+    stale = (out / "residual.npz", out / "c/first.h")
+    for path in stale:
+        path.write_text("of a motor-level policy that was exported before, for another target")
     for name, message in (
         ("first", "c holds an export already: replace it .overwrite=True. or .*folder .--output"),
         ("second", "holds an export named 'first'"),
@@ -224,9 +218,8 @@ def test_a_folder_holds_one_export(tmp_path, no_flights):
         with pytest.raises(InputError, match=message):
             export(out, "indi", name=name)
     export(out, "indi", name="first", overwrite=True)
-    names = {path.name for path in out.iterdir()}
-    assert not {name for name in names if "estimator" in name or name.startswith("second")}
-    assert not names & {"residual.npz", "rollouts.npz"}
+    assert not any(path.exists() for path in (*stale, out / "c"))
+    assert not any(path.name.startswith("second") for path in out.rglob("*"))
     assert read_folder(out).options.name == "first"
 
 

@@ -107,7 +107,6 @@ def test_an_observation_and_a_vehicle_of_a_user_have_no_c():
 
 def test_shipped_policies_for_other_races_are_refused(tmp_path):
     for policy, config, words in (
-        (PRETRAINED / "ablation/e2e_residual.npz", "e2e", "in training, no residual"),
         (PRETRAINED / "e2e_residual.npz", "e2e", "residual is two networks in training, none here"),
         (PRETRAINED / "indi.npz", CONFIGS / "e2e.yaml", "e2e.yaml: indi.npz: .*=rate, .*=motor,"),
     ):

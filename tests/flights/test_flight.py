@@ -113,59 +113,6 @@ def test_a_table_has_a_line_for_each_time_and_units_in_its_header(tmp_path):
     assert (last["run"], last["time [s]"], last["position_z [m]"]) == (1, 4.0, -1.5)
 
 
-def old_arrays(flight):
-    names = ("position", "velocity", "rates", "actuators", "command")
-    return {"euler": flight["attitude"]} | {name: flight[name] for name in names}
-
-
-def meta_of(kind, **more):
-    gates = [gate.model_dump(mode="json") for gate in GATES]
-    return {"format": kind, "vehicle": "motor", "track": gates, **more}
-
-
-def test_states_of_earlier_versions_are_read(tmp_path):
-    flight, path = circle(), tmp_path / "a.npz"
-    runs = {k: np.stack([v, v]) for k, v in old_arrays(flight).items()}
-    for values in runs.values():
-        values[1, 150:] = np.nan
-    runs["lap_times"] = np.array([flight.lap_times, [np.nan, np.nan]])
-    runs["time"] = flight.time
-    meta = meta_of("quadjax-states/1", crashes=[{"run": 1, "reason": "hit a gate"}])
-    write_npz(path, runs, meta)
-    whole, cut = load(path)
-    assert whole.name == "a 1" and whole.gates == GATES and whole.source["vehicle"] == "motor"
-    np.testing.assert_allclose(whole.passages, flight.passages)
-    np.testing.assert_allclose(whole.lap_ends, flight.lap_ends)
-    assert cut.crash == "hit a gate" and len(cut.time) == 150 and len(cut.passages) == 1
-    aside = {**runs, "position": runs["position"] + [0.0, 0.0, -0.7]}
-    write_npz(path, aside, meta)
-    assert not len(load(path)[0].passages)
-    target = np.stack([flight.target, flight.target]).astype(float)
-    write_npz(path, aside | {"target": target}, meta)
-    np.testing.assert_allclose(load(path)[0].passages[:, 2], -0.2, atol=1e-3)
-    write_npz(path, aside, meta | {"vehicle": "antigravity:MODEL"})
-    assert load(path)[0].signals["command"].unit == ""
-
-
-def test_best_known_laps_and_starts_of_earlier_versions_are_read(tmp_path):
-    flight, path = circle(laps=1), tmp_path / "a.npz"
-    legs = np.diff(flight.passages[:, 0], prepend=0.0)
-    arrays = old_arrays(flight) | {"time": flight.time, "leg_times": legs}
-    write_npz(path, arrays, meta_of("quadjax-limit/1", start="periodic"))
-    (best,) = load(path, name="best")
-    assert best.name == "best" and best.source["periodic"]
-    np.testing.assert_allclose(best.passages, flight.passages, atol=1e-3)
-    np.testing.assert_allclose(best.lap_ends, flight.lap_ends, atol=1e-9)
-    starts = {k: v for k, v in arrays.items() if k in ("position", "velocity", "euler", "rates")}
-    starts |= {"actuators": flight["actuators"], "target": flight.target}
-    write_npz(path, starts, {"format": "quadjax-starts/1", "track": "square"})
-    (states,) = load(path)
-    np.testing.assert_array_equal(states.target, flight.target)
-    write_npz(path, {"position": flight["position"]}, meta_of("quadjax-limit/1"))
-    with pytest.raises(InputError, match="no array time"):
-        load(path)
-
-
 def test_lap_times_without_a_trajectory_are_flights_without_samples(tmp_path):
     path = tmp_path / "a.json"
     path.write_text(json.dumps({"laps": [[3.0, None], [3.1, 3.0], [2.9, 2.8]]}))

@@ -81,7 +81,7 @@ def test_the_race_is_the_policys_own():
     limits = load_config("indi", ["vehicle.constants.thrust_max=20"])
     own = dataclasses.replace(policy, config=limits.model_dump(mode="json", by_alias=True))
     assert race_config(config, own).vehicle.constants["thrust_max"] == 20.0
-    widths = random_policy(observation={"disturbance": {"moment_x": 0.03}})
+    widths = random_policy(widths={"moment_x": 0.03})
     assert not any(race_config(config, widths).disturbance.half_widths.values())
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from quadjax import sources
-from quadjax.config.loading import load_config
-from quadjax.core.files import write_json, write_npz
+from quadjax.core.files import write_json
 from quadjax.core.resources import PRETRAINED
 from quadjax.fitting.flight_log import log_flight
 from quadjax.flights.files import lap_times, load, save
@@ -66,17 +65,6 @@ def test_bad_files_are_one_line(tmp_path, capsys):
         error = capsys.readouterr().err
         assert says in error and error.count("\n") == 1
         assert not (tmp_path / "out.html").exists()
-
-
-def test_states_of_earlier_versions_have_the_gates_of_the_race(tmp_path):
-    flight, race = circle("old"), load_config("e2e")
-    names = {"position": "position", "velocity": "velocity", "euler": "attitude", "rates": "rates"}
-    arrays = {old: flight[name] for old, name in names.items()}
-    meta = {"format": "quadjax-starts/1", "vehicle": "motor", "track": "square4"}
-    more = {"actuators": np.full((len(flight.time), 4), 7000.0), "target": 0 * flight.time}
-    write_npz(tmp_path / "old.npz", arrays | more, meta)
-    for of_race, gates in ((None, ()), (race, race.track.gates)):
-        assert load_flights(tmp_path / "old.npz", race=of_race)[0].gates == gates
 
 
 def test_a_run_shows_its_newest_policy_while_it_trains(tmp_path, monkeypatch):
