@@ -19,11 +19,11 @@ from quadjax.fitting.config import LogsConfig, load_fit_config
 from quadjax.fitting.flight_log import read_log, write_log
 from quadjax.fitting.formats import WRITTEN
 from quadjax.plant.config import load_plant_config
-from quadjax.policy.network_files import read_state_dict
+from quadjax.policy.network_files import read_network
 from quadjax.sweeps.sweep import load_sweep
 from quadjax.training.result import read_metrics
 from quadjax.vehicle.residual import read_residual
-from tests.policy.writers import linear, state_dict
+from tests.policy.writers import c_source, linear
 from tests.sweeps.stand_in import sweep_file
 
 PIECES = (
@@ -85,7 +85,7 @@ KINDS = {  # suffix, what writes a whole file, what reads it
         copy(CONFIGS / "vehicles/bebop1.yaml"),
         lambda p: quadjax.load("e2e", [f"vehicle={p}"]),
     ),
-    "state dict": (".pt", lambda p: p.write_bytes(state_dict(linear((24, 4)))), read_state_dict),
+    "C arrays": (".c", lambda p: p.write_text(c_source(linear((24, 4)))), read_network),
     "log": (
         ".csv",
         write_flight,
@@ -126,7 +126,7 @@ def whole(tmp_path_factory):
     return contents
 
 
-@pytest.mark.parametrize("kind", ["policy", "residual", "state dict"])
+@pytest.mark.parametrize("kind", ["policy", "residual", "C arrays"])
 def test_a_file_without_permission_is_not_called_damaged(kind, tmp_path, whole, monkeypatch):
     def refused(*arguments, **options):
         raise PermissionError(errno.EACCES, "Permission denied")

@@ -36,7 +36,8 @@ def import_(
     observation and its commands. Two networks (.pt, .c) are thrust and moment of a
     residual; CONFIG has the range of the propeller speeds. Three are policy, thrust
     and moment: a policy file with the residual. One more C file can have the
-    policy's output_std. Nothing in the files is executed.
+    policy's output_std. Nothing in the files is executed. A .zip needs the extra
+    sb3, a .pt the extra torch.
 
     Example, a network of INDIflight:
     quadjax import e2e neural_network.c track=figure8_tudelft vehicle=5inch

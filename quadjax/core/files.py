@@ -114,17 +114,6 @@ def check_file(path: Path | str) -> None:
         raise InputError(f"{path}: not a regular file")
 
 
-def is_zip(path: Path | str) -> bool:
-    """Whether a file is a zip archive.
-
-    Raises:
-        InputError: not a regular file, or unreadable.
-    """
-    check_file(path)
-    with reading(path), open(path, "rb") as stream:
-        return zipfile.is_zipfile(stream)
-
-
 def read_text(path: Path | str, limit: int = MAX_BYTES) -> str:
     """The text of a UTF-8 file, with or without a byte-order mark.
 
@@ -164,7 +153,10 @@ def read_npz(
     Raises:
         InputError: no such file, not an npz, damaged, pickled, too large, or of another format.
     """
-    if not is_zip(path):
+    check_file(path)
+    with reading(path), open(path, "rb") as stream:
+        whole = zipfile.is_zipfile(stream)
+    if not whole:
         raise InputError(f"{path}: not an .npz file, or one that is cut short")
     try:
         with zipfile.ZipFile(path) as archive:

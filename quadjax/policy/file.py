@@ -116,7 +116,8 @@ class Policy:
         Args:
             path: a policy file (``.npz``), the folder of a run, or the name of a shipped policy;
                 or a model of Stable-Baselines3 (``.zip``), a PyTorch state dict (``.pt``, ``.pth``)
-                or C arrays (``.c``, ``.h``), which need a config. Nothing in them is executed.
+                or C arrays (``.c``, ``.h``), which need a config. Nothing in them is executed. The
+                first two need Stable-Baselines3 and PyTorch.
             config: of the race that a file of another project was trained in: a config, a preset's
                 name or a YAML file. A policy file needs it only for a network of the user's own
                 class, which the config has to name.

@@ -1,32 +1,34 @@
 """Networks in files of other projects: Stable-Baselines3, PyTorch state dicts, C arrays.
 
-Nothing in such a file is executed. A state dict is a pickle of names, shapes and references to raw
-data in a zip archive; the reader loads only the names that it needs and rejects all others. C is
-read as text.
+Nothing in such a file is executed. PyTorch loads tensors only (``weights_only=True``), and so does
+Stable-Baselines3, whose other objects are left unread. C is read as text.
 """
 
-import collections
+import contextlib
 import dataclasses
-import io
+import importlib
 import json
 import math
-import pickle
 import re
+import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from quadjax.core.errors import InputError
-from quadjax.core.files import is_zip, read_layers, read_text
+from quadjax.core.errors import InputError, reading
+from quadjax.core.files import check_file, read_layers, read_text
 
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]  # (kernel (in, out), bias (out,)) of each
 Arrays = Mapping[str, np.ndarray]
 C, TORCH, SB3 = (".c", ".h", ".cpp", ".hpp"), (".pt", ".pth"), (".zip",)
 SUFFIXES = (*SB3, *TORCH, *C)
-MAX_BYTES = 2**28  # of an entry of an archive
+LIBRARIES = {  # name, and the first version that executes nothing in a file
+    "torch": ("PyTorch", (2, 6)),
+    "stable_baselines3": ("Stable-Baselines3", (2, 8)),
+}
 SB3_POLICY, SB3_VALUE = "mlp_extractor.policy_net.", "mlp_extractor.value_net."
 STD = "output_std"
 COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
@@ -59,27 +61,29 @@ class Network:
 def read_network(path: Path | str) -> Network:
     """The network of a file, by its suffix.
 
-    - ``.zip``: a model of Stable-Baselines3 (PPO or A2C, ``MlpPolicy``);
-    - ``.pt``, ``.pth``: a PyTorch state dict, of Stable-Baselines3's policy or of linear layers in
-      the order of their application, optionally with ``log_std``;
+    - ``.zip``: a model of Stable-Baselines3 (PPO or A2C, ``MlpPolicy``), by its own loader;
+    - ``.pt``, ``.pth``: a state dict, by PyTorch, of Stable-Baselines3's policy or of linear layers
+      in the order of their application, optionally with ``log_std``;
     - ``.c``, ``.h``, ``.cpp``, ``.hpp``: arrays ``weights_NAME`` (row by row, a row per output) and
       ``biases_NAME`` in the order of the layers, with any prefix, and optionally ``output_std``.
       The activation is the one that the function ``..forward`` calls, or the only one in the file.
 
     Raises:
-        InputError: another suffix, or a file that cannot be read; in one line.
+        InputError: another suffix, a library that is not installed, or a file that cannot be read;
+            in one line.
     """
     suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"{path}: suffix is {suffix!r}, allowed: {', '.join(SUFFIXES)}")
+    check_file(path)
     if suffix in C:
         network = read_c(path)
         if not network.layers:
             raise InputError(f"{path}: has no weights_.., expected weights_fc1, biases_fc1, ..")
         return network
     if suffix in TORCH:
-        return _of_tensors(path, read_state_dict(path))
-    if suffix not in SB3:
-        raise InputError(f"{path}: suffix is {suffix!r}, allowed: {', '.join(SUFFIXES)}")
-    tensors = read_state_dict(path, "policy.pth")
+        return _of_tensors(path, _read_state_dict(path))
+    tensors = _read_sb3(path)
     if not any(name.startswith(SB3_POLICY) for name in tensors):
         raise InputError(f"{path}: no {SB3_POLICY}*, expected a model of PPO or A2C with MlpPolicy")
     return dataclasses.replace(_of_tensors(path, tensors), activation=_sb3_activation(path))
@@ -135,109 +139,73 @@ def _sb3_activation(path: Path | str) -> str | None:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            data = json.loads(_member(archive, "data"))
+            data = json.loads(archive.read("data"))
         name = str((data.get("policy_kwargs") or {}).get("activation_fn", "Tanh"))
-        noise_of_state = bool(data.get("use_sde"))
     except Exception:  # damaged in one of many ways: the caller names the activation
         return None
-    if noise_of_state:
-        raise InputError(f"{path}: use_sde is true, expected state-independent noise")
-    word = re.search(r"(\w+)\W*$", name)
+    word = re.search(r"(\w+)\W*$", name)  # <class 'torch.nn.modules.activation.ReLU'>
     return word[1].lower() if word else None
 
 
-def read_state_dict(path: Path | str, member: str | None = None) -> dict[str, np.ndarray]:
-    """The tensors of a state dict that ``torch.save`` wrote, by name, in their order.
+def _read_sb3(path: Path | str) -> Arrays:
+    """The parameters of the policy of a Stable-Baselines3 model, by name."""
+    _library(path, "torch", "sb3")
+    files = _library(path, "stable_baselines3", "sb3").common.save_util
+    with _loading(path, "a model of Stable-Baselines3") as stream:
+        _, parameters, _ = files.load_from_zip_file(stream, load_data=False, device="cpu")
+        return _to_arrays(parameters.get("policy", {}))
 
-    Args:
-        path: a ``.pt`` or ``.pth`` file.
-        member: a file of that format inside the zip archive ``path``, such as ``policy.pth``.
+
+def _read_state_dict(path: Path | str) -> Arrays:
+    """The tensors of a state dict that ``torch.save`` wrote, by name, in their order."""
+    torch = _library(path, "torch", "torch")
+    with _loading(path, "a state dict of PyTorch") as stream:
+        tensors = torch.load(stream, map_location="cpu", weights_only=True)
+        for key in ("state_dict", "model_state_dict"):  # of a checkpoint
+            tensors = tensors.get(key, tensors)
+        return _to_arrays(tensors)
+
+
+def _library(path: Path | str, module: str, extra: str) -> Any:
+    """A library that loads a file, in a version that executes nothing in it.
 
     Raises:
-        InputError: a missing or damaged file, the legacy format, a file that holds other objects
-            than tensors by name, or anything that would have to be executed; in one line.
+        InputError: it is not installed, or too old.
     """
-    if not is_zip(path):
-        raise InputError(
-            f"{path}: not a zip archive, perhaps in the legacy format of PyTorch: load it and save "
-            "it again with torch.save"
-        )
+    name, least = LIBRARIES[module]
     try:
-        with zipfile.ZipFile(path) as archive:
-            inner = archive
-            if member is not None:
-                inner = zipfile.ZipFile(io.BytesIO(_member(archive, member)))
-            tensors = _Unpickler(inner).load()
-    except Exception as error:  # pickle and zipfile raise many kinds for a damaged file
-        detail = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: not a PyTorch state dict ({detail:.120})") from error
-    for key in ("state_dict", "model_state_dict"):  # of a checkpoint
-        if isinstance(tensors, Mapping) and isinstance(tensors.get(key), Mapping):
-            tensors = tensors[key]
-    if not isinstance(tensors, Mapping) or not tensors:
-        raise InputError(f"{path}: holds a {type(tensors).__name__}, expected tensors by name")
-    for key, value in tensors.items():
-        if not isinstance(key, str) or not isinstance(value, np.ndarray):
-            raise InputError(f"{path}: {key!r:.60} is not a tensor, expected a state dict")
-    return dict(tensors)
+        library = importlib.import_module(module)
+        found = re.match(r"(\d+)\.(\d+)", library.__version__)
+    except ImportError:
+        found = None
+    if found is None or tuple(map(int, found.groups())) < least:
+        version = ".".join(map(str, least))
+        raise InputError(
+            f"{path}: this needs {name} {version} or newer: pip install 'quadjax[{extra}]'"
+        )
+    return library
 
 
-def _member(archive: zipfile.ZipFile, name: str) -> bytes:
-    """A file of an archive; its size is checked before it is unpacked."""
-    if name not in archive.namelist():
-        raise ValueError(f"the archive holds no file {name}")
-    if archive.getinfo(name).file_size > MAX_BYTES:
-        raise ValueError(f"{name} has more than {MAX_BYTES} bytes")
-    return archive.read(name)
+@contextlib.contextmanager
+def _loading(path: Path | str, what: str) -> Iterator[BinaryIO]:
+    """The stream of a file that a library loads in the block, with its errors in one line.
+
+    Their text is left out: that of PyTorch advises to unpickle the file.
+    """
+    with reading(path), open(path, "rb") as stream, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            yield stream
+        except Exception:  # of many kinds for a damaged file
+            raise InputError(
+                f"{path}: not {what}: damaged, or with other objects than tensors by name, such as "
+                "a whole module in place of its state_dict()"
+            ) from None
 
 
-def _tensor(storage: Any, offset: Any, size: Any, stride: Any, *_: object) -> np.ndarray:
-    """The array of a tensor, which must lie within its storage."""
-    numbers = (offset, *size, *stride)
-    if not isinstance(storage, np.ndarray) or any(type(n) is not int or n < 0 for n in numbers):
-        raise ValueError("a tensor with an impossible shape")
-    last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
-    if max(math.prod(size), last + 1) > storage.size:
-        raise ValueError("a tensor larger than its storage")
-    steps = [step * storage.itemsize for step in stride]
-    return np.lib.stride_tricks.as_strided(storage[offset:], size, steps).copy()
-
-
-class _Unpickler(pickle.Unpickler):
-    """Reads the archive of one ``torch.save``, with arrays for tensors."""
-
-    NAMES = {
-        "collections.OrderedDict": collections.OrderedDict,
-        "torch._utils._rebuild_tensor_v2": _tensor,
-        "torch._utils._rebuild_parameter": lambda data, *_: data,
-        "torch.FloatStorage": np.dtype("<f4"),
-        "torch.DoubleStorage": np.dtype("<f8"),
-        "torch.HalfStorage": np.dtype("<f2"),
-        "torch.LongStorage": np.dtype("<i8"),
-    }
-
-    def __init__(self, archive: zipfile.ZipFile) -> None:
-        names = [name for name in archive.namelist() if name.endswith("data.pkl")]
-        if len(names) != 1:
-            raise ValueError(f"{len(names)} entries data.pkl, expected one")
-        self._archive, self._folder = archive, names[0].removesuffix("data.pkl")
-        super().__init__(io.BytesIO(_member(archive, names[0])), encoding="utf-8")
-
-    def find_class(self, module: str, name: str) -> Any:
-        """The few names that a state dict refers to; no other is imported."""
-        if f"{module}.{name}" not in self.NAMES:
-            raise pickle.UnpicklingError(f"it refers to {module}.{name}, which is not loaded")
-        return self.NAMES[f"{module}.{name}"]
-
-    def persistent_load(self, pid: Any) -> np.ndarray:
-        """The numbers of a storage: ("storage", type, key, device, number of elements)."""
-        _, dtype, key, _, count = pid
-        if not isinstance(dtype, np.dtype):
-            raise pickle.UnpicklingError("a storage of an unknown type")
-        values = np.frombuffer(_member(self._archive, f"{self._folder}data/{key}"), dtype)
-        if len(values) != count:
-            raise ValueError(f"storage {key} has {len(values)} numbers, expected {count}")
-        return values
+def _to_arrays(tensors: Mapping[str, Any]) -> Arrays:
+    """Tensors of any floating type as arrays in double precision."""
+    return {str(name): tensor.detach().double().numpy() for name, tensor in tensors.items()}
 
 
 def read_c(path: Path | str) -> Network:

@@ -1,61 +1,31 @@
-"""Policies and residuals of other projects are read without executing anything."""
+"""Policies and residuals of other projects, as C arrays; PyTorch's are in ``test_torch_files``."""
 
-import os
-import pickle
+import sys
+import types
 
 import jax
 import numpy as np
 import pytest
 
-from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.policy.file import Policy
-from quadjax.policy.network_files import read_state_dict
 from quadjax.vehicle.residual import read_residual, residual_force_moment
 from tests.commands import run
 from tests.policy.writers import (
     CONTROLLER,
-    archive,
     c_source,
     forward,
     linear,
     relu,
-    sb3_model,
-    sb3_tensors,
-    state_dict,
     write_authors_files,
 )
 
-RELU = {"policy_kwargs": {":type:": "<class 'dict'>", ":serialized:": "gASVAAAAAAAAAAAu"}}
-RELU["policy_kwargs"]["activation_fn"] = "<class 'torch.nn.modules.activation.ReLU'>"
 STD = "{0.1f, 0.2f, 0.3f, 0.4f}"
 
 
 def equal(found, wanted):
     """Equal to 1e-5 of the largest output."""
     np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-5 * np.abs(wanted).max())
-
-
-@pytest.mark.parametrize(
-    ("data", "kind", "activation"),
-    [(RELU, "relu", relu), ({"policy_kwargs": {}}, "tanh", np.tanh)],
-)
-def test_a_model_of_stable_baselines3(tmp_path, data, kind, activation):
-    arrays = sb3_tensors()
-    policy = Policy.load(sb3_model(tmp_path / "model.zip", arrays, data), "e2e_paper")
-    assert policy.activation == kind and policy.vehicle == "motor" and policy.noise_on == "mean"
-    np.testing.assert_array_equal(policy.log_std, arrays["log_std"])
-    x = np.random.default_rng(0).normal(size=(9, 24))
-    names = ["mlp_extractor.policy_net.0", "mlp_extractor.policy_net.2", "action_net"]
-    wanted = np.clip(forward(arrays, x, names, activation), -1, 1)
-    np.testing.assert_allclose(policy(x.astype(np.float32)), wanted, atol=1e-5)
-    names = ["mlp_extractor.value_net.0", "mlp_extractor.value_net.2", "value_net"]
-    critic = {f"{i}.weight": k.T for i, (k, _) in enumerate(policy.value)}
-    critic |= {f"{i}.bias": b for i, (_, b) in enumerate(policy.value)}
-    equal(forward(critic, x, "012", activation), forward(arrays, x, names, activation))
-    policy.save(tmp_path / "policy.npz")
-    again = Policy.load(tmp_path / "policy.npz")
-    assert again.layout.labels == policy.layout.labels and again.config["name"] == "e2e_paper"
 
 
 def test_motors_and_their_range_in_another_order(tmp_path):
@@ -87,19 +57,14 @@ def residual_outputs(residual, rpm, velocity, rates):
     return [np.asarray(x) for x in outputs]
 
 
-@pytest.mark.parametrize("kind", ["state dicts", "C", "C with a policy"])
-def test_a_residual_of_two_files(tmp_path, monkeypatch, kind):
+@pytest.mark.parametrize("with_policy", [False, True])
+def test_a_residual_of_two_files(tmp_path, monkeypatch, with_policy):
     """Also in one file with the policy, in place of a residual of the config that is not there."""
     monkeypatch.chdir(tmp_path)
     of_policy, _, of_force, of_moment = write_authors_files()
     files = ["nn_thrust.c", "nn_moment.c"]
-    if kind == "state dicts":
-        files = ["thrust.pt", "moment.pth"]
-        for name, arrays in zip(files, (of_force, of_moment), strict=True):
-            (tmp_path / name).write_bytes(state_dict(arrays))
-    if kind == "C with a policy":
-        files += ["E2Enet/neural_network.c", "E2Enet/nn_controller.c"]
-        files = files[2:] + files[:2]
+    if with_policy:
+        files = ["E2Enet/neural_network.c", "E2Enet/nn_controller.c", *files]
     words = ("vehicle.constants.rpm_max=12000", "--thrust-sign", -1, "--output", "a.npz")
     assert run("import", "e2e_table1", *files, *words) == 0
     residual, draw = read_residual("a.npz"), np.random.default_rng(0)
@@ -110,7 +75,7 @@ def test_a_residual_of_two_files(tmp_path, monkeypatch, kind):
     scaled = np.concatenate([(rpm - 3000) * 2 / 9000 - 1, velocity], axis=1)
     equal(force, -forward(of_force, scaled, activation=relu)[:, 0])
     equal(moment, forward(of_moment, np.concatenate([scaled, rates], axis=1), activation=relu))
-    if kind == "C with a policy":
+    if with_policy:
         policy, x = Policy.load("a.npz"), draw.normal(size=(9, 24))
         assert policy.config["vehicle"]["residual"] == "a.npz" and policy.activation == "relu"
         np.testing.assert_allclose(np.exp(policy.log_std), [0.1, 0.2, 0.3, 0.4], rtol=1e-6)
@@ -118,62 +83,31 @@ def test_a_residual_of_two_files(tmp_path, monkeypatch, kind):
         np.testing.assert_allclose(policy(np.float32(x)), wanted, atol=1e-5)
 
 
-def test_torch_reads_and_writes_the_same(tmp_path):
-    """Where PyTorch is installed: its files are read, and it reads those of the tests."""
-    torch = pytest.importorskip("torch")
-    arrays, path = sb3_tensors(), tmp_path / "own.pt"
-    path.write_bytes(state_dict(arrays))
-    theirs = torch.load(path, weights_only=True)
-    assert list(theirs) == list(arrays)
-    torch.save({name: tensor.T.contiguous().T for name, tensor in theirs.items()}, path)
-    for name, array in read_state_dict(path).items():
-        np.testing.assert_array_equal(array, arrays[name])
-
-
-class Evil:
-    """Runs a command when it is unpickled."""
-
-    def __reduce__(self):
-        return os.system, ("touch executed",)
-
-
-HUGE = {"size": (2**20, 2**20), "stride": (0, 0)}
-HARMFUL = {
-    "a pickle that runs a command": (
-        archive(pickle.dumps({"0.weight": Evil()}, protocol=2), {}),
-        "which is not loaded",
-    ),
-    "the legacy format": (pickle.dumps(0x1950A86A20F9469CFC6C), "legacy format"),
-    "beyond its storage": (state_dict(linear((7, 1)), offset=1), "larger than its storage"),
-    "repeated storage": (state_dict(linear((7, 1)), **HUGE), "larger than its storage"),
-    "a short storage": (state_dict(linear((7, 1)), count=9), "expected 9"),
+LIBRARIES = {  # suffix: what is missing or old, the name of its extra, and what is needed
+    ".pt": ("torch", "2.5.1", "torch", "PyTorch 2.6"),
+    ".zip": ("stable_baselines3", "2.7.1", "sb3", "Stable-Baselines3 2.8"),
 }
 
 
-@pytest.mark.parametrize("what", HARMFUL)
-def test_harmful_and_damaged_files_are_refused_in_one_line(tmp_path, monkeypatch, what):
-    monkeypatch.chdir(tmp_path)
-    path, (data, words) = tmp_path / "network.pt", HARMFUL[what]
-    path.write_bytes(data)
-    with pytest.raises(InputError) as error:
-        Policy.load(path, "e2e_paper", activation="relu", std=0.1)
-    assert words in str(error.value) and "\n" not in str(error.value)
-    assert [each.name for each in tmp_path.iterdir()] == ["network.pt"]  # nothing was executed
+@pytest.mark.parametrize("found", [False, True], ids=["missing", "old"])
+@pytest.mark.parametrize("suffix", LIBRARIES)
+def test_a_library_that_is_missing_or_old_is_one_line(suffix, found, tmp_path, monkeypatch, capsys):
+    """Older versions may execute what is in a file."""
+    module, version, extra, needed = LIBRARIES[suffix]
+    monkeypatch.setitem(sys.modules, "torch", types.SimpleNamespace(__version__="2.6.0+cpu"))
+    old = types.SimpleNamespace(__version__=version)
+    monkeypatch.setitem(sys.modules, module, old if found else None)
+    path = tmp_path / f"network{suffix}"
+    path.write_bytes(b"")
+    assert run("import", "e2e_paper", path, "--output", tmp_path / "a.npz") == 2
+    error = capsys.readouterr().err
+    says = f"this needs {needed} or newer: pip install 'quadjax[{extra}]'"
+    assert error == f"error: {path}: {says}\n"
 
 
 NET = linear((24, 6, 4))
-ONE_BIAS = {name: array for name, array in NET.items() if name != "2.bias"}
-SHARED = sb3_tensors() | {"mlp_extractor.shared_net.0.weight": np.zeros((3, 3), np.float32)}
-ELU = {"policy_kwargs": {"activation_fn": "<class 'x.ELU'>"}}
-MODELS = {  # of Stable-Baselines3
-    "model.zip": (sb3_tensors(), RELU),
-    "sac.zip": (linear((24, 6, 4), prefix="actor.latent_pi."), RELU),
-    "shared.zip": (SHARED, RELU),
-    "elu.zip": (sb3_tensors(), ELU),
-}
 FILES = {
-    "net.pt": state_dict(NET),
-    "one_bias.pt": state_dict(ONE_BIAS),
+    "one_bias.c": c_source(NET, std=STD).replace("biases_fc2", "offsets"),
     "zero.c": c_source(NET, std="{0, 1, 1, 1}"),
     "size.c": c_source(NET, std=STD).replace("s_fc1[6]", "s_fc1[7]"),
     "std.c": c_source(NET, std=STD),
@@ -185,16 +119,12 @@ FILES = {
 }
 NETWORK, RESIDUAL = "E2Enet/neural_network.c", "nn_thrust.c nn_moment.c"
 REFUSED = f"""
-model.zip --config indi_paper | takes 24 numbers, policies of indi_paper observe 17: posi
-model.zip --activation tanh | its activation is relu, not tanh
-sac.zip | PPO or A2C
-shared.zip | shared_net
-elu.zip | the activation is elu, allowed: relu, tanh
-model.zip --thrust-sign 1 | --thrust-sign has no effect on a policy
-model.zip model.zip model.zip model.zip | 4 networks and 0 files
-model.zip --motors 1 2 3 3 | expected each of 1 to 4 once
-net.pt --activation relu | give the noise's std
-one_bias.pt | 2.weight has no 2.bias
+std.c --config indi_paper | takes 24 numbers, policies of indi_paper observe 17: posi
+std.c --activation tanh | its activation is relu, not tanh
+std.c --thrust-sign 1 | --thrust-sign has no effect on a policy
+std.c std.c std.c std.c | 4 networks and 0 files
+std.c --motors 1 2 3 3 | expected each of 1 to 4 once
+one_bias.c | weights_fc2 has no biases_fc2
 zero.c | expected numbers above 0
 size.c | says 7
 {NETWORK} | no log_std or output_std
@@ -213,10 +143,8 @@ tanh.c nn_moment.c --thrust-sign 1 | its activation is tanh, a residual has relu
 def test_networks_that_do_not_fit_are_refused_in_one_line(row, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_authors_files()
-    for name, model in MODELS.items():
-        sb3_model(tmp_path / name, *model)
-    for name, data in FILES.items():
-        (tmp_path / name).write_bytes(data if isinstance(data, bytes) else data.encode())
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text)
     command, _, says = row.partition(" | ")
     command, _, config = command.partition(" --config ")
     assert run("import", config or "e2e_paper", *command.split(), "--output", "a.npz") == 2

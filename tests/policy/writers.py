@@ -1,92 +1,18 @@
-"""Files in the formats of PyTorch, Stable-Baselines3 and C, written without any of them."""
+"""Networks as C arrays, and what they compute."""
 
-import io
-import json
-import struct
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-STORAGE = {"float32": b"FloatStorage", "float64": b"DoubleStorage", "int64": b"LongStorage"}
-ORDERED_DICT = b"ccollections\nOrderedDict\n)R"
 
-
-def _text(value: str) -> bytes:
-    return b"X" + struct.pack("<I", len(value)) + value.encode()
-
-
-def _integer(value: int) -> bytes:
-    return b"J" + struct.pack("<i", value)
-
-
-def _tuple(values: tuple[int, ...]) -> bytes:
-    return b"(" + b"".join(map(_integer, values)) + b"t"
-
-
-def tensor(array: np.ndarray, key: str, size=None, stride=None, offset=0, count=None) -> bytes:
-    """Pickle opcodes of a tensor; the shape and the storage's size may be wrong."""
-    strides = tuple(step // array.itemsize for step in array.strides)
-    storage = b"(" + _text("storage") + b"ctorch\n" + STORAGE[str(array.dtype)] + b"\n"
-    storage += _text(key) + _text("cpu") + _integer(array.size if count is None else count) + b"tQ"
-    shape = _tuple(array.shape if size is None else size) + _tuple(stride or strides)
-    rest = b"\x89" + ORDERED_DICT
-    return (
-        b"ctorch._utils\n_rebuild_tensor_v2\n(" + storage + _integer(offset) + shape + rest + b"tR"
-    )
-
-
-def archive(pickled: bytes, storages: Mapping[str, bytes]) -> bytes:
-    """The zip archive of one ``torch.save``, with a pickle and raw numbers."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as file:
-        file.writestr("archive/data.pkl", pickled)
-        file.writestr("archive/byteorder", "little")
-        for key, data in storages.items():
-            file.writestr(f"archive/data/{key}", data)
-        file.writestr("archive/version", "3\n")
-    return stream.getvalue()
-
-
-def state_dict(arrays: Mapping[str, np.ndarray], **wrong: object) -> bytes:
-    """What ``torch.save`` writes of a state dict."""
-    items = b"".join(
-        _text(name) + tensor(array, str(key), **wrong)
-        for key, (name, array) in enumerate(arrays.items())
-    )
-    pickled = b"\x80\x02" + ORDERED_DICT + b"(" + items + b"u."
-    return archive(pickled, {str(k): a.tobytes() for k, a in enumerate(arrays.values())})
-
-
-def linear(sizes: tuple[int, ...], seed: int = 0, prefix: str = "") -> dict[str, np.ndarray]:
+def linear(sizes: tuple[int, ...], seed: int = 0) -> dict[str, np.ndarray]:
     """Linear layers of a ``Sequential`` with activations between them, as a state dict."""
     random, arrays = np.random.default_rng(seed), {}
     for index, (inputs, outputs) in enumerate(zip(sizes, sizes[1:], strict=False)):
-        arrays[f"{prefix}{2 * index}.weight"] = random.normal(size=(outputs, inputs))
-        arrays[f"{prefix}{2 * index}.bias"] = random.normal(size=outputs)
+        arrays[f"{2 * index}.weight"] = random.normal(size=(outputs, inputs))
+        arrays[f"{2 * index}.bias"] = random.normal(size=outputs)
     return {name: array.astype(np.float32) for name, array in arrays.items()}
-
-
-def sb3_tensors(inputs: int = 24, actions: int = 4) -> dict[str, np.ndarray]:
-    """The state dict of Stable-Baselines3's ``MlpPolicy`` with separate networks."""
-    extractor = "mlp_extractor."
-    heads = linear((8, actions), 3, "action_net."), linear((6, 1), 4, "value_net.")
-    arrays = {"log_std": np.linspace(-2, -1, actions, dtype=np.float32)}
-    arrays |= linear((inputs, 7, 8), 1, extractor + "policy_net.")
-    arrays |= linear((inputs, 5, 6), 2, extractor + "value_net.")
-    for head in heads:  # a single layer, without a number
-        arrays |= {name.replace(".0.", "."): array for name, array in head.items()}
-    return arrays
-
-
-def sb3_model(path: Path, arrays: Mapping[str, np.ndarray], data: object) -> Path:
-    """A model of Stable-Baselines3: a zip archive with a state dict and JSON."""
-    with zipfile.ZipFile(path, "w") as file:
-        file.writestr("data", json.dumps(data))
-        file.writestr("policy.pth", state_dict(arrays))
-        file.writestr("_stable_baselines3_version", "2.3.0")
-    return path
 
 
 def c_source(arrays: Mapping[str, np.ndarray], prefix="", std="", flat=True, body="relu(x);"):
