@@ -1,4 +1,4 @@
-"""Best known laps and lower bounds of the published tracks for several drones, as a table.
+"""Best known laps of the published tracks for several drones, as a table.
 
 Each pair of a track and a drone is written to FOLDER as .json and .npz when it is done. A pair with
 a .json file is not computed again, so that the script continues where it was interrupted. An .npz
@@ -39,7 +39,7 @@ def compute(config: Config, path: Path, seconds: float, starts: int) -> dict[str
     flight = path.with_suffix(".npz")
     guesses = [flight] if flight.exists() else []
     try:
-        result = best_known(config, guesses=guesses, starts=starts, seconds=seconds).bounded()
+        result = best_known(config, guesses=guesses, starts=starts, seconds=seconds)
     except NotFoundError as error:
         if not guesses:
             save_unverified(flight, error, config)
@@ -51,10 +51,8 @@ def compute(config: Config, path: Path, seconds: float, starts: int) -> dict[str
 def row(name: str, result: dict[str, Any]) -> str:
     """One line of the table."""
     if "error" in result:
-        return f"| {name} | | | | {result['error']} |"
-    low = result["lower_bound"]
-    bound = "" if low is None else f"{low:.3f} s"
-    times = f"{bound} | {result['best_known']:.4f} s | {result['seconds']:.0f} s"
+        return f"| {name} | | | {result['error']} |"
+    times = f"{result['best_known']:.4f} s | {result['seconds']:.0f} s"
     return f"| {name} | {times} | {result['guess']} |"
 
 
@@ -73,7 +71,7 @@ def limits(
     pairs = [(track, drone) for track in tracks for drone in drones]
     configs = {pair: config_of(*pair) for pair in pairs}
     folder.mkdir(parents=True, exist_ok=True)
-    print("| track, drone | lower bound | best known | computing | from |\n|---|---|---|---|---|")
+    print("| track, drone | best known | computing | from |\n|---|---|---|---|")
     for pair, config in configs.items():
         path = folder / f"{'_'.join(pair)}.json"
         if not path.exists():

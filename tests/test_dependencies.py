@@ -19,7 +19,7 @@ ALLOWED = {
     "evaluation": CONFIG | {"config", "policy", "training", "view", "flights", "plant", "fitting"},
     "export": CONFIG - {"learners"} | {"config", "policy"},
     "fitting": {"core", "vehicle", "flights"},
-    "limits": {"core", "vehicle", "race", "config", "policy", "evaluation", "flights"},
+    "limits": {"core", "vehicle", "race", "config", "policy", "flights"},
     "integrations": CONFIG | {"config", "policy", "training"},
     "plant": CONFIG - {"learners"} | {"config", "policy", "flights"},
     "log_states": {"core", "vehicle", "flights", "fitting"},

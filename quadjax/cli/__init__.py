@@ -27,7 +27,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "train": "train a racing policy, with one seed or several",
     "evaluate": "time the laps of policies and draw them",
     "view": "write flights as an interactive 3D page",
-    "limit": "compute the best known lap of a track and a lower bound",
+    "limit": "compute the best known lap of a track",
     "sweep": "search hyperparameters",
     "fit": "fit the model of a drone to its flight logs",
     "replay": "replay a flight log through a policy and a model",

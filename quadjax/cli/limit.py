@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
@@ -30,7 +29,6 @@ def limit(
     *overrides: opt.Overrides,
     policy: Annotated[opt.PolicyFile | None, Parameter(group=SEARCH)] = None,
     guess: Annotated[tuple[opt.InputFile, ...], Parameter(group=SEARCH, show_default=False)] = (),
-    bound_speed: Annotated[MeterPerSecond | None, Parameter(group=SEARCH)] = None,
     starts: Annotated[int, opt.whole(1, 100, group=SEARCH)] = 2,
     seconds: Annotated[int, opt.whole(1, 86_400, group=SEARCH)] = 300,
     laps: Annotated[int | None, opt.whole(1, 20, group=FLIGHT)] = None,
@@ -41,26 +39,20 @@ def limit(
     speed: Annotated[MeterPerSecond | None, Parameter(group=FLIGHT)] = None,
     json: opt.JsonFile = None,
     npz: opt.NpzFile = None,
-    figure: opt.Picture = None,
 ) -> int:
-    """Compute the best known flight of a race and a lower bound of its time.
+    """Compute the best known flight of a race.
 
-    The best known flight is a local optimum, found by direct collocation from
-    several initial guesses and verified in the model. It is an upper bound of the
-    shortest time. The lower bound holds for every flight that stays below
-    --bound-speed, up to rounding in float64. With --policy, the policy's fastest
-    lap is compared with the best known one, and is one of the initial guesses.
-    Disturbances, randomization and model mismatch of the config are ignored.
+    It is a local optimum, found by direct collocation from several initial guesses
+    and verified in the model: an upper bound of the shortest time. Disturbances,
+    randomization and model mismatch of the config are ignored.
 
     Example: quadjax limit e2e +fastest track=figure8 --seconds 150 --npz lap.npz
 
     Args:
-        policy: Compare with this policy's lap.
+        policy: Start also from the fastest lap of this policy.
         guess: Start also from a flight that --npz wrote; may be repeated.
-        bound_speed: The lower bound holds for flights below this speed (default: 1.2 times
-            the top speed of the best known flight, and at most the speed limit).
         starts: Number of initial guesses in addition to the policy's lap.
-        seconds: Time of the search at most; the lower bound takes up to a minute more.
+        seconds: Time of the search at most.
         laps: Laps from the start of timed laps, in place of a periodic lap.
         gates: Gates from the start of timed laps.
         stop: End at rest in the center of the last gate; the flight begins at the start.
@@ -68,11 +60,9 @@ def limit(
         clearance: Distance from the gates' edges, m.
         speed: Speed limit (default: the vehicle's fitted_speed, or 60).
         npz: Write states and commands.
-        figure: Draw path, speed and commands.
     """
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.core.plotting import save_figure
         from quadjax.limits.problem import Flight
         from quadjax.limits.result import save_unverified
         from quadjax.limits.search import NotFoundError
@@ -83,7 +73,7 @@ def limit(
     flight = Flight(gates, laps, stop, None if centers else clearance, speed)
     search = {"policy": policy, "guesses": guess, "starts": starts, "seconds": seconds}
     try:
-        result = _search(race, flight, search, bound_speed, npz)
+        result = _search(race, flight, search)
     except NotFoundError as error:
         print(f"error: {error}", file=sys.stderr)
         if npz is not None and save_unverified(npz, error, race):
@@ -94,20 +84,12 @@ def limit(
         write_json(json, result.to_json())
     if npz is not None:
         result.save(npz)
-    if figure is not None:
-        save_figure(result.plot(), figure)
-    wrote(json, npz, figure)
+    wrote(json, npz)
     return 0
 
 
-def _search(
-    race: "Config",
-    flight: "Flight",
-    search: Mapping[str, Any],
-    bound_speed: float | None,
-    npz: Path | None,
-) -> "Result":
-    """The best known flight with its lower bound; saves the flight before computing the bound."""
+def _search(race: "Config", flight: "Flight", search: Mapping[str, Any]) -> "Result":
+    """The best known flight; Ctrl-C ends the search with the best so far."""
     from quadjax.limits.result import best_known
 
     with interruptions(STOPPING) as stopped, steps() as show:
@@ -115,8 +97,4 @@ def _search(
         def report(text: str) -> None:
             show("stopping" if stopped.is_set() else text)
 
-        result = best_known(race, flight, stop=stopped, report=report, **search)
-        if npz is not None:  # the lower bound may take a minute
-            result.save(npz)
-        report("lower bound")
-        return result.bounded(bound_speed)
+        return best_known(race, flight, stop=stopped, report=report, **search)

@@ -45,7 +45,7 @@ def policy_laps(problem: Problem, config: Config, policy: Path | str) -> list[Tr
     columns = [flight[name] for name in SIMULATED]
     recorded = from_flight(problem, columns, time_step)
     if not recorded:
-        raise InputError(f"{policy}: no whole lap to compare ({flight.crash or 'too few laps'})")
+        raise InputError(f"{policy}: no whole lap ({flight.crash or 'too few laps'})")
     return recorded
 
 

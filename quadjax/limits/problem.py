@@ -31,7 +31,6 @@ CENTERED = 0.02  # m from a center, within which a flight passes through it
 TIME_STEP = 1e-3  # s, for which a command is held in the verification
 SPEED = 60.0  # m/s, the limit of a drone without ``fitted_speed``
 BELOW_RULE = 0.998  # of a limit of the race, at the nodes: between them a flight may exceed it
-OCTAGON = np.pi / 4.0 * np.arange(8)  # angles of the corners of a round opening's octagon
 Tree = TypeVar("Tree")
 
 
@@ -43,21 +42,6 @@ class Gates:
     axes: np.ndarray  # (gates, 3, 3) unit vectors: through the opening, along its width, its height
     half_size: np.ndarray  # (gates, 2) half width, half height, m; the radius of a round opening
     circle: np.ndarray  # (gates,) bool, round openings
-
-    def corners(self, index: int, clearance: float | None) -> np.ndarray:
-        """Corners (n, 3) of a convex set that contains what a clearance, m, leaves of an opening.
-
-        Without a clearance (None): the center.
-        """
-        if clearance is None:
-            return self.position[index][None]
-        width, height = self.half_size[index] - clearance
-        if self.circle[index]:
-            size = width / np.cos(np.pi / 8.0)  # of the octagon around the circle
-            sides = size * np.stack([np.cos(OCTAGON), np.sin(OCTAGON)], axis=1)
-        else:
-            sides = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * [width, height]
-        return self.position[index] + sides @ self.axes[index, 1:]
 
     def clearance(self, index: int, place: np.ndarray) -> float:
         """Distance of a place in the gate's plane from the nearest edge, m; negative outside."""

@@ -1,14 +1,12 @@
 """The best known flight of a race: the search for it, its text, its JSON, and its file."""
 
 import dataclasses
-import functools
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from quadjax.config.assembly import race_of
 from quadjax.config.schema import Config, Disturbance, Randomization
@@ -17,14 +15,10 @@ from quadjax.core.provenance import provenance
 from quadjax.flights import flight as recorded
 from quadjax.flights.files import load, save
 from quadjax.flights.flight import SIMULATED
-from quadjax.limits.bound import LowerBound, lower_bound
-from quadjax.limits.compare import Comparison, compare, flights_figure
 from quadjax.limits.guess import policy_laps
 from quadjax.limits.problem import TIME_STEP, Flight, Problem, make_problem
 from quadjax.limits.search import MESH_CHANGE, BestKnown, NotFoundError, Search
 from quadjax.limits.trajectory import Trajectory
-
-FASTER = 1.2  # times the top speed of the best known flight: default of the bound's speed
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,25 +28,7 @@ class Result:
     config: Config
     problem: Problem  # what was solved
     best: BestKnown
-    policy_lap: Trajectory | None = None  # a policy's fastest lap, to compare
-    policy_file: str | None = None
-    # Of the time of every flight below a speed; see ``bounded``.
-    bound: LowerBound = LowerBound(None, 0.0, "not computed")
-
-    def bounded(self, speed: float | None = None) -> "Result":
-        """The result with a lower bound for flights below a speed, m/s.
-
-        The default is 1.2 times the top speed of the flight, and at most the speed limit.
-        """
-        top = self.best.check.top_speed
-        speed = speed or max(top, min(FASTER * top, self.problem.speed_limit))
-        return dataclasses.replace(self, bound=lower_bound(self.problem, speed, self.best.total))
-
-    @functools.cached_property
-    def comparison(self) -> Comparison | None:
-        """The policy's lap against the best known one."""
-        lap = self.policy_lap
-        return None if lap is None else compare(self.best.trajectory, lap)
+    policy: str | None = None  # file of the policy whose lap was an initial guess
 
     def notes(self) -> list[str]:
         """Remarks on the result, one sentence each."""
@@ -73,32 +49,19 @@ class Result:
         return notes
 
     def table(self) -> str:
-        """The result in a few lines of text, with the times of the legs if there is a policy."""
-        best, bound = self.best, self.bound
-        lines = [
+        """The result in a few lines of text."""
+        best = self.best
+        line = (
             f"best known: {best.total:.4f} s, top speed {best.check.top_speed:.1f} m/s, from the "
             f"{best.guess} ({best.seconds:.0f} s of computing)"
-        ]
-        if bound.time is None:
-            lines.append(f"lower bound: none ({bound.error})")
-        else:
-            wide = 100.0 * (best.total - bound.time) / best.total
-            lines.append(
-                f"lower bound: {bound.time:.4f} s, up to rounding, for flights below "
-                f"{bound.speed:.1f} m/s; the bracket is {wide:.1f}% wide"
-            )
-        if self.comparison is not None:
-            lines += [self.comparison.table(self.policy_file or "policy")]
-        return "\n".join([*lines, *(f"note: {note}" for note in self.notes())])
+        )
+        return "\n".join([line, *(f"note: {note}" for note in self.notes())])
 
     def to_json(self) -> dict[str, Any]:
         """The result, with the settings that it was computed with."""
         best, check, problem = self.best, self.best.check, self.problem
         return {
             "best_known": best.total,
-            "lower_bound": self.bound.time,
-            "lower_bound_below_speed": self.bound.speed,
-            "lower_bound_error": self.bound.error or None,
             "leg_times": check.leg_times.tolist(),
             "top_speed": check.top_speed,
             "clearance": check.clearance,
@@ -114,15 +77,8 @@ class Result:
             "gates": len(problem.order),
             "speed_limit": problem.speed_limit,
             "flight": dataclasses.asdict(problem.flight),
-            "policy": self.comparison and self.comparison.to_json(),
-            "provenance": provenance(self.config, self.policy_file),
+            "provenance": provenance(self.config, self.policy),
         }
-
-    def plot(self) -> Figure:
-        """Path, speed, attitude and commands, and where the policy loses time."""
-        flights = {"best known": self.best.trajectory, "policy": self.policy_lap}
-        flown = {name: flight for name, flight in flights.items() if flight is not None}
-        return flights_figure(self.problem, self.config.track.gates, flown)
 
     def save(self, path: Path | str) -> None:
         """Write the flight as an ``.npz`` file, with the entries of ``to_json`` in ``meta``.
@@ -159,7 +115,7 @@ def best_known(
     Args:
         config: of the race; its disturbances, randomization and model mismatch are ignored.
         flight: what is flown; None: a periodic lap.
-        policy: a policy's file; its fastest lap is compared, and is an initial guess.
+        policy: a policy's file, whose fastest lap is an initial guess.
         guesses: files of ``Result.save``, which are initial guesses.
         starts: number of other initial guesses.
         seconds: limit of wall-clock time.
@@ -175,13 +131,12 @@ def best_known(
     config = config.replace(vehicle=vehicle, **steady)
     flight = dataclasses.replace(flight or Flight(), fitted_speed=vehicle.fitted_speed)
     problem = make_problem(*race_of(config), flight)
-    trajectories, flown = {str(path): read_guess(problem, path) for path in guesses}, None
+    trajectories = {str(path): read_guess(problem, path) for path in guesses}
     report("compiling")
     if policy is not None:
-        flown, *_ = policy_laps(problem, config, policy)
-        trajectories["policy's lap"] = flown
+        trajectories["policy's lap"], *_ = policy_laps(problem, config, policy)
     best = Search(problem, seconds, stop, report).run(trajectories, starts)
-    return Result(config, problem, best, flown, None if policy is None else str(policy))
+    return Result(config, problem, best, None if policy is None else str(policy))
 
 
 def read_guess(problem: Problem, path: Path | str) -> Trajectory:

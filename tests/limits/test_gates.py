@@ -1,4 +1,4 @@
-"""Gates of the solver are those of the race; laps of flights, and where one loses time."""
+"""Gates of the solver are those of the race; laps of flights."""
 
 import threading
 
@@ -15,7 +15,6 @@ from quadjax.race.track import TrackSection, gate, make_track, to_opening_frame
 
 pytest.importorskip("casadi")
 from quadjax.limits.collocation import Dynamics, Settings, solve  # noqa: E402
-from quadjax.limits.compare import compare, flights_figure  # noqa: E402
 from quadjax.limits.guess import from_flight, from_spline  # noqa: E402
 from quadjax.limits.problem import (  # noqa: E402
     ACTUATORS,
@@ -26,7 +25,6 @@ from quadjax.limits.problem import (  # noqa: E402
     gates_of,
     make_problem,
 )
-from quadjax.limits.trajectory import Trajectory  # noqa: E402
 from quadjax.limits.verify import passages  # noqa: E402
 
 
@@ -58,19 +56,6 @@ def test_a_place_has_clearance_where_the_rules_let_it_pass():
         found = np.array([gates.clearance(index, place) for place in places])
         np.testing.assert_array_equal(found > 0.0, np.asarray(inside))
         assert 0.02 < np.mean(found > 0.0) < 0.9
-
-
-def test_the_corners_contain_the_opening():
-    gates, rng = gates_of(_track()), np.random.default_rng(0)
-    for index in range(3):
-        axes = gates.axes[index] * [[0.0], [1.0], [1.0]]
-        places = gates.position[index] + rng.uniform(-0.7, 0.7, (500, 3)) @ axes
-        ways = rng.normal(size=(50, 3))  # a convex set contains a point if all its supports do
-        for kept in (0.0, 0.1):
-            reached = (gates.corners(index, kept) @ ways.T).max(axis=0)
-            clear = [place for place in places if gates.clearance(index, place) >= kept]
-            assert len(clear) > 10
-            assert np.all(np.array(clear) @ ways.T <= reached + 1e-9)
 
 
 GATES = (
@@ -119,17 +104,6 @@ def test_a_passage_is_measured_against_the_required_clearance(clearance, right, 
     assert not len(passages(problem.gates, [0], path + side, 1e-3, 0.3)[0])
 
 
-def test_a_slower_leg_is_where_the_time_is_lost():
-    best = from_spline(_problem(), 1, 10)
-    slower = best.leg_times + np.array([0.0, 0.3, 0.0, 0.0])
-    result = compare(best, Trajectory(slower, best.states, best.commands))
-    assert result.gap == pytest.approx(0.3 / best.total)
-    np.testing.assert_allclose(
-        result.lost_per_meter, [0.0, 0.3 / result.length[1], 0.0, 0.0], atol=1e-12
-    )
-    np.testing.assert_allclose(result.lost[[0, 50, 100, -1]], [0.0, 0.0, 0.3, 0.3], atol=1e-9)
-
-
 def test_laps_are_cut_from_a_recorded_flight():
     problem = _problem()
     states = from_spline(problem, 1, 50).states[:-1]
@@ -144,19 +118,3 @@ def test_laps_are_cut_from_a_recorded_flight():
     assert np.linalg.norm(lap.states[:, VELOCITY], axis=1).min() > 1.0
     np.testing.assert_allclose(lap.states[:, ACTUATORS], 9.0)
     assert np.abs(np.diff(lap.states[:, ATTITUDE], axis=0)).max() < 0.3
-
-
-def test_gates_at_one_place_have_one_label():
-    config = load_config("indi +fastest", ["track=split_s"])
-    problem = make_problem(*race_of(config))
-    states = np.random.default_rng(0).normal(size=(29, 14))
-    flights = {
-        name: Trajectory(np.full(7, seconds), states, np.zeros((29, 4)))
-        for name, seconds in (("best known", 0.5), ("policy", 0.6))
-    }
-    path, *others = flights_figure(problem, config.track.gates, flights).axes
-    texts = [text.get_text() for text in path.texts]
-    assert [text for text in texts if text and "m" not in text] == ["1", "2", "3", "4, 5", "6", "7"]
-    assert [axes for axes in others if axes.get_ylabel() == "time lost (ms)"]
-    (commands,) = [axes for axes in others if axes.get_ylabel() == "commands"]
-    assert len(commands.get_yticklabels()) == 4

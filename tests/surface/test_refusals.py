@@ -164,7 +164,6 @@ limit e2e --laps 0 | --laps
 limit e2e --laps 3 --gates 3 | --gates
 limit e2e --speed 0 | --speed
 limit e2e --guess '' | --guess '' file
-limit e2e --bound-speed 0 | --bound-speed
 limit e2e --centers --clearance 1 | --clearance --centers
 limit 'indi +fastest' --clearance 0.5 | gate 1 0.5
 limit 'indi +fastest' rules.gate_test=world_box | world_box
