@@ -169,8 +169,8 @@ class Evaluate(Section):
         None,
         gt=0,
         le=1e4,
-        description="best known lap of quadjax limit, s: the metrics of training then have gap, "
-        "the fraction by which the fastest lap of the scored flights is slower",
+        description="best known lap of quadjax limit, s: lap tables and the metrics of training "
+        "then have gap, the fraction by which the fastest lap of the flights is slower",
     )
 
     @property

@@ -74,7 +74,8 @@ def fly_plants(
             result.append(flight.replace(signals=flight.signals | {MOTOR_COMMAND: command}))
         return result
 
-    return Row(name, concatenate(laps), label, protocol.plants, record=record)
+    best = race.evaluate.best_known_lap
+    return Row(name, concatenate(laps), label, protocol.plants, record=record, best_known_lap=best)
 
 
 def drawn(plant: PlantConfig, count: int) -> Iterator[PlantConfig]:

@@ -40,6 +40,7 @@ class Row:
     # returns the flights, of those on the plant the first ones of the first plant
     record: Callable[[], list[Flight]] = dataclasses.field(default=list, repr=False)
     published: Optional["Row"] = None  # the published row of the same race and protocol
+    best_known_lap: float | None = None  # s, in the race
 
     @property
     def runs(self) -> int:

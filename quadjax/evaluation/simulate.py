@@ -108,7 +108,8 @@ def simulate(
     is_alike = (protocol.laps, protocol.start, protocol.deterministic) == ALIKE
     is_alike = is_alike and condition.damage is None and not protocol.tracks
     published = published_row(config) if is_alike else None
-    return Row(name, laps, label, 1, speeds, config.vehicle.fitted_speed, record, published)
+    limit, best = config.vehicle.fitted_speed, config.evaluate.best_known_lap
+    return Row(name, laps, label, 1, speeds, limit, record, published, best)
 
 
 def _starts(

@@ -102,7 +102,7 @@ def lap_table(rows: Sequence[Row]) -> Table:
     """Mean laps of each row, total, best and finishers, then the published row, if it is one.
 
     A row is named by its condition, and by its policy where there are several. The notes say how
-    runs ended early.
+    runs ended early. The gap of the fastest lap to the best known one is shown where that is known.
     """
     published = list(dict.fromkeys(row.published for row in rows if row.published))
     published = published if len(published) == 1 else []
@@ -111,17 +111,22 @@ def lap_table(rows: Sequence[Row]) -> Table:
     if gates := next((row.laps.last_gates for row in rows if row.laps.last_gates), 0):
         titles[-1] = counted(gates, "gate")
     several = len({row.policy for row in rows}) > 1
+    gap = any(row.best_known_lap for row in rows)
     lines, notes = [], ["seconds; means over the runs that finished"]
+    if gap:
+        notes.append("gap: by how much the fastest lap is slower than the best known one")
     for row in [*rows, *published]:
         names = (row.policy if several or not row.condition else "", row.condition)
         label = ", ".join(filter(None, names))
         done = [number(row.numbers["best"]), f"{row.finished}/{row.runs}"]
         last = ["-", "-"] if row in published else done
-        lines.append([label, *_laps(row.lap_means, count), number(row.total), *last])
+        cells = [label, *_laps(row.lap_means, count), number(row.total), *last]
+        lines.append([*cells, _gap(row)] if gap else cells)
         notes += [f"{label}: {line}" for line in describe_crashes(row.laps)]
     if published:
         lines.insert(len(rows), ["published"])
-    return Table(["", *titles, "total", "best", "finished"], lines, notes)
+    titles = ["", *titles, "total", "best", "finished", *(["gap"] if gap else [])]
+    return Table(titles, lines, notes)
 
 
 def flights_table(groups: Mapping[str, Sequence[Flight]]) -> Table:
@@ -157,6 +162,11 @@ def _laps(times: Sequence[float] | np.ndarray, count: int) -> list[str]:
     return [number(time) for time in times] + ["-"] * (count - len(times))
 
 
+def _gap(row: Row) -> str:
+    best = row.best_known_lap
+    return "-" if best is None else number(100 * row.laps.gap(best), 1, "%")
+
+
 def _crashed(row: Row) -> str:
     share = f"{100 * row.crashed / row.runs:.3g}%"
     if row.without_lap:
@@ -176,6 +186,7 @@ COLUMNS: dict[str, tuple[str, Callable[[Row], str]]] = {  # of conditions: title
     "median": ("median", _number("time", 2, " s")),
     "lap": ("median lap", _number("median_lap", 3, " s")),
     "between": ("first to last gate", _number("between", 2, " s")),
+    "gap": ("gap to the best known lap", _gap),
     "speed": ("highest speed", _number("highest_speed", 1, " m/s")),
     "above": ("above the fitted speed", _number("seconds_above", 2, " s")),
     "ended": (

@@ -54,6 +54,13 @@ class Laps:
         """Lap times (runs, laps), s, without a last lap of fewer gates."""
         return self.lap_times[:, :-1] if self.last_gates else self.lap_times
 
+    def gap(self, best_known: float) -> float:
+        """The fraction by which the fastest whole lap is slower than one of ``best_known`` s.
+
+        Infinite where no whole lap was completed.
+        """
+        return float(np.nanmin(self.whole_laps, initial=np.inf)) / best_known - 1.0
+
     def laps_completed(self) -> np.ndarray:
         """Number of laps that each run completed, (runs,)."""
         return np.isfinite(self.lap_times).sum(axis=1)

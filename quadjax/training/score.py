@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from quadjax.config.assembly import make_choices
 from quadjax.config.schema import Config
@@ -82,13 +81,9 @@ def score_runs(config: Config) -> int:
 
 
 def gap(config: Config, laps: Laps) -> dict[str, float]:
-    """The metric ``gap`` of the fastest lap to ``evaluate.best_known_lap``, where that is set.
-
-    It is the fraction by which the lap is slower.
-    """
+    """The metric ``gap`` to ``evaluate.best_known_lap``, where that is set: ``Laps.gap``."""
     best = config.evaluate.best_known_lap
-    fastest = float(np.nanmin(laps.whole_laps, initial=np.inf))
-    return {} if best is None else {"gap": fastest / best - 1.0}
+    return {} if best is None else {"gap": laps.gap(best)}
 
 
 def no_lap(crashes: Iterable[str], steps: float) -> str:

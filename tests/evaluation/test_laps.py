@@ -107,6 +107,15 @@ def test_a_lap_table_names_policies_where_there_are_several_and_the_published_ti
     assert "\nmine, sampled, 100 runs " in lines and "\nother " in lines
 
 
+def test_the_gap_is_that_of_the_fastest_lap_to_the_best_known_one():
+    row = Row("mine", flights(5.0, 4.2, np.nan, before=1), best_known_lap=2.0)
+    none = Row("none", flights(np.nan), best_known_lap=2.0)
+    head, _, *lines = table.lap_table([row, none]).format("markdown").splitlines()
+    assert [line.split(" | ")[-1] for line in (head, *lines[:2])] == ["gap |", "5.0% |", "- |"]
+    text = table.condition_table([row, none], "", ("gap",)).format("markdown")
+    assert "5.0%" in text and "gap" not in table.lap_table([Row("own", flights(5.0))]).format()
+
+
 def test_many_early_ends_are_few_lines():
     times = np.full((50, 2), np.nan)
     times[40:] = 2.0
