@@ -1,8 +1,7 @@
 """``quadjax evaluate``."""
 
 import dataclasses
-import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -24,13 +23,10 @@ if TYPE_CHECKING:
     from quadjax.policy.file import Policy
     from quadjax.race.laps import Actor
 
-OF_LAPS = ("fixed_point", "range_", "offsets", "states", "figures", "animation")
+OF_LAPS = ("fixed_point", "range_", "offsets", "states", "figures")
 RECORDED = Group("Recorded flights, in place of policies", sort_key=2)
 States = Annotated[
     Path | None, opt.Output((".npz", ".csv")), Parameter(metavar="FILE.npz|.csv", group=opt.FILES)
-]
-Animation = Annotated[
-    Path | None, opt.Output((".gif",)), Parameter(metavar="FILE.gif", group=opt.FILES)
 ]
 Listed = Annotated[
     str | None,
@@ -70,7 +66,6 @@ def evaluate(
     json: opt.AnyFile = None,
     states: States = None,
     figures: Annotated[opt.Folder | None, Parameter(group=opt.FILES)] = None,
-    animation: Animation = None,
 ) -> None:
     """Time the laps of policies, next to the published ones of the same race, if any.
 
@@ -121,7 +116,6 @@ def evaluate(
         json: Write the laps, or the numbers of the conditions.
         states: Write all trajectories.
         figures: Draw the flight: trajectory.png, perspective.png and signals.png.
-        animation: Animate the flight.
     """
     if flights is not None:
         opt.refuse_others("with --flights", "flights", "logs", "report", "overwrite")
@@ -154,9 +148,9 @@ def evaluate(
             flown = [fly(*entry, name=file, **how) for file, entry in entries]
         result = joined(flown)
         text = result.table(format) + (_offsets(flown[0]) if offsets else "")
-        _write(flown[0] if listed is None else result, json, states, figures, animation, show)
+        _write(flown[0] if listed is None else result, json, states, figures)
     print(text)
-    wrote(json, states, f"{figures}/" if figures else None, animation)
+    wrote(json, states, f"{figures}/" if figures else None)
 
 
 def _listed(name: str | None, only: list[str] | None) -> "Conditions | None":
@@ -239,8 +233,6 @@ def _write(
     json: Path | None,
     states: Path | None,
     figures: Path | None,
-    animation: Path | None,
-    report: Callable[[str], None],
 ) -> None:
     """Write the files that are asked for."""
     from quadjax.core.plotting import save_figure
@@ -250,9 +242,6 @@ def _write(
     if figures is not None:
         for name, figure in evaluation.figures().items():
             save_figure(figure, figures / f"{name}.png")
-    if animation is not None:
-        frames = itertools.count(1)
-        evaluation.animate(animation, lambda: report(f"animation: {next(frames)} frames"))
     if json is not None:
         write_json(json, evaluation.to_json())
 

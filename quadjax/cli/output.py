@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 SECONDS = 5.0  # after which a step prints a line where there is no terminal
-AMOUNT = re.compile(r": [\d.]+ (s|frames)\b.*$")  # at the end of a step's text
+AMOUNT = re.compile(r": [\d.]+ s\b.*$")  # at the end of a step's text
 ARGUMENTS: contextvars.ContextVar[Sequence[str]] = contextvars.ContextVar("ARGUMENTS", default=())
 
 

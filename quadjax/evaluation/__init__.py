@@ -1,1 +1,1 @@
-"""Timed laps, and the tables, figures and animations made of them."""
+"""Timed laps, and the tables and figures made of them."""

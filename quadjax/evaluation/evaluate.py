@@ -260,15 +260,6 @@ class Evaluation:
 
         show(page_record(self.row.condition, self.named_flights("run")), path)
 
-    def animate(self, path: Path | str, advance: Callable[[], object] = lambda: None) -> None:
-        """Write an animation (``.gif``) of all runs in real time.
-
-        ``advance`` is called after every frame.
-        """
-        from quadjax.evaluation.animation import write_animation
-
-        write_animation(distinct(self.flights), self.best.gates, path, advance)
-
     def save_states(self, path: Path | str) -> None:
         """Write all runs, as arrays (``.npz``) or as a table (``.csv``); see ``flights.files``.
 

@@ -56,7 +56,7 @@ def trajectory_figure(
     groups: Groups = flights if isinstance(flights, Mapping) else {title: flights}
     selected = {k: v if len(v) <= MANY or not several else [fastest(v)] for k, v in groups.items()}
     every = [flight for group in selected.values() for flight in group]
-    limits = extent(every, gates)
+    limits = _extent(every, gates)
     size, columns = limits[1] - limits[0], min(len(selected), ACROSS)
     alone, blocks = columns == 1, -(-len(selected) // columns)
     scale = min(8.0 / size[0], 7.0 / (size[1] + size[2])) if alone else 9.0 / columns / size[0]
@@ -74,7 +74,7 @@ def trajectory_figure(
             for axes, place in ((above, points[:, :2]), (side, points[:, [0, 2]])):
                 lines = axes.add_collection(_speed_line(LineCollection, place, flight, speeds))
                 lines.set(linewidth=width, capstyle="round", zorder=3)
-        draw_track(above, side, gates, limits, numbers=not several)
+        _draw_track(above, side, gates, limits, not several)
         if several:
             above.set_title(_group_title(label, groups[label]), color=INK, fontsize=10, loc="left")
         else:
@@ -193,7 +193,7 @@ def _group_title(label: str, flights: Sequence[Flight]) -> str:
     return f"{label}\n{note}" + (f", fastest of {len(flights)}" if len(flights) > 1 else "")
 
 
-def extent(
+def _extent(
     flights: Sequence[Flight], gates: Sequence[GateSection]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest x, y and height of all that is drawn, with a margin, m."""
@@ -209,19 +209,19 @@ def extent(
     return lowest, highest
 
 
-def draw_track(
+def _draw_track(
     above: Axes,
     side: Axes,
     gates: Sequence[GateSection],
     limits: tuple[np.ndarray, np.ndarray],
-    numbers: bool = True,
+    numbers: bool,
 ) -> None:
-    """Draw the gates from above and from the side, between ``limits`` of ``extent``.
+    """Draw the gates from above and from the side, between ``limits`` of ``_extent``.
 
     ``numbers``: whether the gates have them.
     """
     low, high = limits
-    draw_gates(above, gates, ARROW * float((high - low).max()), numbers)
+    _draw_gates(above, gates, ARROW * float((high - low).max()), numbers)
     for gate in gates:
         x, _, z = gate_outline(gate).T
         side.plot(x, -z, color=INK, linewidth=1.8, zorder=2, alpha=0.6)
@@ -235,9 +235,7 @@ def draw_track(
     side.set_xlabel("x, north (m)", color=INK)
 
 
-def draw_gates(
-    above: Axes, gates: Sequence[GateSection], reach: float, numbers: bool = True
-) -> None:
+def _draw_gates(above: Axes, gates: Sequence[GateSection], reach: float, numbers: bool) -> None:
     """Draw gates from above: openings, two posts, and arrows of ``reach`` m in flight direction.
 
     With numbers beyond the outer post, and heights where they differ; gates at the same place share

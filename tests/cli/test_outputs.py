@@ -132,13 +132,12 @@ def test_a_long_step_of_a_command_is_one_line_where_there_is_no_terminal(monkeyp
         for seconds in range(1, 5):
             time.sleep(0.3)
             report(f"run 1 of 2: {seconds} s flown")
-        report("run 2 of 2")
-        report("animation: 1 frames")
-        report("animation: 2 frames")
+        report("run 2 of 2: 1 s flown")
+        report("run 2 of 2: 2 s flown")
         time.sleep(0.4)
         report("drawing")
     time.sleep(0.4)
-    assert text.getvalue() == "run 1 of 2\nanimation: 2 frames\n"
+    assert text.getvalue() == "run 1 of 2\nrun 2 of 2: 2 s flown\n"
 
 
 def test_view_says_what_it_simulates(tmp_path, capsys, monkeypatch):

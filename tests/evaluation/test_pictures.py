@@ -8,7 +8,6 @@ from PIL import Image
 
 from quadjax.core.errors import InputError
 from quadjax.core.plotting import save_figure
-from quadjax.evaluation import animation
 from quadjax.evaluation.figures import signals_figure, space_figure, trajectory_figure
 from quadjax.flights.flight import Flight, vehicle_signals
 from quadjax.race.track import GateSection
@@ -112,22 +111,6 @@ def test_figures_are_written_whole(tmp_path):
     for path, says in ((tmp_path / "a.nothing", "allowed"), ("/dev/null/a.png", "cannot be")):
         with pytest.raises(InputError, match=says):
             save_figure(figure, path)
-
-
-@pytest.mark.slow
-def test_an_animation_is_a_gif_in_real_time(tmp_path):
-    path, calls = tmp_path / "flight.gif", []
-    flights = [circle(seconds=0.2), circle(seconds=0.15, crash="hit a gate")]
-    animation.write_animation(flights, GATES, path, lambda: calls.append(1), names=["E2E", "INDI"])
-    with Image.open(path) as film:
-        assert film.format == "GIF" and film.size[0] > 500
-        assert film.n_frames >= 5 and film.info["duration"] == 50
-        first = np.asarray(film.convert("RGB"))
-        film.seek(3)
-        later = np.asarray(film.convert("RGB"))
-    assert len(calls) >= 5 and colors(first) > 20 and np.any(first != later)
-    with pytest.raises(InputError, match="1 name for 2 flights"):
-        animation.write_animation(flights, GATES, path, names=["E2E"])
 
 
 def test_a_flight_in_space_has_its_gates_and_equal_scales():

@@ -116,7 +116,6 @@ evaluate e2e --policy e2e --seed -1 | --seed -1
 evaluate e2e --policy e2e --json notes.txt/a.json | notes.txt
 evaluate e2e --policy e2e --start floor | floor hover
 evaluate e2e --policy e2e --states a.xyz | a.xyz
-evaluate e2e --policy e2e --animation a.mp4 | a.mp4
 evaluate e2e --policy e2e --conditions spread --figures x | --figures effect --conditions
 evaluate e2e --policy e2e --conditions protocols --deterministic | --deterministic effect
 evaluate e2e --policy e2e --conditions nosuch | current folder lists of conditions quadjax: damage
