@@ -149,13 +149,13 @@ class SweepFile(Section):
     budget: Budget = Budget()
     executor: Executor = Executor()
     storage: str = Field(
-        JOURNAL, description="journal, or a database's URL: postgresql://USER@HOST/DATABASE"
+        JOURNAL, description="journal, or the URL of a database, as Optuna takes it: sqlite:///FILE"
     )
 
     @model_validator(mode="after")
     def _check(self) -> "SweepFile":
         if self.storage != JOURNAL and "://" not in self.storage:
-            allowed = "journal, or the URL of a database, such as postgresql://USER@HOST/DATABASE"
+            allowed = "journal, or the URL of a database, such as sqlite:///FILE"
             value = "***" if "@" in self.storage else self.storage  # it may contain a password
             raise ValueError(f"storage is {value!r}, allowed: {allowed}")
         plant, plants, runs = self.objective.plant, self.objective.plants, self.objective.runs

@@ -22,7 +22,7 @@ from quadjax.core.errors import InputError
 from quadjax.sweeps.schema import JOURNAL
 from quadjax.sweeps.sweep import Sweep
 
-FILE, DRIVER = "study.journal", "postgresql+psycopg://"
+FILE = "study.journal"
 SLOTS = 4099  # workers, at most
 HEARTBEAT, GRACE = 15, 60  # s, in a database: a trial without one for GRACE counts as dead
 State = optuna.trial.TrialState
@@ -113,7 +113,7 @@ def _storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
     if sweep.file.storage == JOURNAL:
         return optuna.storages.JournalStorage(JournalFileBackend(str(directory / FILE)))
     return optuna.storages.RDBStorage(
-        sweep.file.storage.replace("postgresql://", DRIVER, 1),
+        sweep.file.storage,
         engine_kwargs={"pool_pre_ping": True},
         heartbeat_interval=HEARTBEAT,
         grace_period=GRACE,
@@ -149,7 +149,7 @@ def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
         cause = getattr(error.__cause__ or error, "orig", None) or error.__cause__ or error
         reason = (str(cause).strip().splitlines() or [type(cause).__name__])[0]
         if isinstance(cause, ImportError):
-            reason += ": pip install 'quadjax[sweep-postgresql]'"
+            reason += "; install the driver that the URL of storage names"
         raise InputError(f"{where} ({without_secrets(reason, sweep.file.storage)})") from None
 
 
@@ -159,7 +159,7 @@ def without_secrets(text: str, url: str) -> str:
     password = user.partition(":")[2] if at else ""
     query = [entry.partition("=")[2] for entry in url.partition("?")[2].split("&")]
     parts = [password, *password.split("/"), *query]  # "/" in a password ends it for a parser
-    secrets = {url.replace("postgresql://", DRIVER, 1), url, *parts, *map(unquote, parts)} - {""}
+    secrets = {url, *parts, *map(unquote, parts)} - {""}
     for secret in sorted(secrets, key=len, reverse=True):
         text = text.replace(secret, "***")
     return text

@@ -3,6 +3,7 @@
 import csv
 import math
 import signal
+import sys
 from threading import Event
 from types import SimpleNamespace
 
@@ -19,6 +20,7 @@ from quadjax.sweeps.run import TrialStopped, objective, run_sweep, train_and_fly
 from quadjax.sweeps.study import (
     FILE,
     State,
+    delete_study,
     drop_partial_line,
     load_study,
     number_of,
@@ -87,21 +89,28 @@ def test_impossible_sweeps(tmp_path):
         assert "\n" not in text
 
 
-def test_the_command_refuses_in_one_line_without_a_password_and_leaves_nothing(tmp_path, capfd):
+def test_the_command_refuses_in_one_line_without_a_password_and_leaves_nothing(
+    tmp_path, capfd, monkeypatch
+):
+    monkeypatch.setitem(sys.modules, "MySQLdb", None)  # the driver of mysql://
     runs = tmp_path / "runs"
     path = sweep_file(tmp_path, space={"learner.rate": {"range": [0, 1]}})
     assert run("sweep", path, "--output", runs) == 2
     printed = capfd.readouterr()
     assert len(printed.err.splitlines()) == 1 and "space.learner.rate" in printed.err
-    for url in (
-        "postgresql://me:s3cret@127.0.0.1:9/none",
-        "postgresql://me:7/s3cret@127.0.0.1:9/none",
-        "postgresql://127.0.0.1:9/none?user=me&password=s3cret",
-        "nonsense://me:s3cret@host/none",
+    for url, problem in (
+        ("sqlite://me:s3cret@host/none", "Invalid SQLite URL"),
+        ("sqlite://me:7/s3cret@host/none", "Invalid SQLite URL"),
+        (f"sqlite:///{tmp_path}/none.db?timeout=s3cret", "could not convert string to float"),
+        (f"sqlite:///{tmp_path}/nowhere/none.db", "unable to open database file"),
+        ("mysql://me:s3cret@host/none", "MySQLdb"),
+        ("mysql://me:s3cret@host/none", "; install the driver that the URL of storage names)"),
+        ("nonsense://me:s3cret@host/none", "nonsense"),
     ):
         assert run("sweep", sweep_file(tmp_path, storage=url), "--output", runs) == 2
         printed = capfd.readouterr()
-        assert len(printed.err.splitlines()) == 1 and "storage" in printed.err
+        assert len(printed.err.splitlines()) == 1 and problem in printed.err
+        assert "storage cannot be used" in printed.err
         assert not printed.out.count("s3cret") and "s3cret" not in printed.err
     assert run("sweep", path, "executor=postgresql://bob:s3cret@h/db", "--output", runs) == 2
     assert "://bob:***@h/db" in capfd.readouterr().err  # of another key
@@ -172,6 +181,18 @@ def test_a_study_takes_only_its_own_sweep_and_damage_is_one_line(tmp_path):
         with pytest.raises(InputError, match=r"study.journal is damaged.*--overwrite") as caught:
             open_study(sweep, directory)
         assert "\n" not in str(caught.value)
+
+
+def test_a_storage_url_is_passed_to_optuna(tmp_path):
+    storage = f"sqlite:///{tmp_path}/study.db"
+    sweep, directory, study = open_small(tmp_path, storage=storage)
+    ended(study, sweep, value_of, finished=1.0)
+    assert optuna.load_study(study_name="small", storage=storage).trials == study.trials
+    assert load_study(sweep, directory).best_value == study.best_value
+    assert not (directory / FILE).exists()
+    delete_study(sweep, directory)
+    with pytest.raises(InputError, match="no trials of the sweep small"):
+        load_study(sweep, directory)
 
 
 def test_a_line_without_an_end_is_dropped_by_a_sweep_and_left_by_a_report(tmp_path):

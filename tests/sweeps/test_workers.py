@@ -1,15 +1,11 @@
 """Whole sweeps in processes and on Ray: pinned workers, killed workers, sweeps and nodes."""
 
 import os
-import shutil
 import signal
-import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import time
-from pathlib import Path
 
 import psutil
 import pytest
@@ -150,38 +146,11 @@ def _wait_for_both(sweep, params, seed, folder, enough):
     return 1.0, 1.0
 
 
-@pytest.fixture
-def database():
-    """The URL of a PostgreSQL server of this test."""
-    pytest.importorskip("psycopg", reason="the extra sweep-postgresql is not installed")
-    if not (programs := sorted(Path("/usr/lib/postgresql").glob("*/bin"))):
-        pytest.skip("PostgreSQL is not installed: apt-get install postgresql")
-    user = "postgres" if os.geteuid() == 0 else None  # the server refuses to run as root
-    with tempfile.TemporaryDirectory() as folder, socket.create_server(("127.0.0.1", 0)) as link:
-        port = link.getsockname()[1]
-        link.close()
-        if user:
-            shutil.chown(folder, user)
-
-        def control(*arguments: str) -> None:
-            command = [str(programs[-1] / "pg_ctl"), "-D", f"{folder}/data", "-w", *arguments]
-            subprocess.run(command, user=user, cwd=folder, stdout=subprocess.DEVNULL, check=True)
-
-        control("initdb", "-o", "--auth=trust --username=me")
-        control("start", "-o", f"-p {port} -k {folder} -h 127.0.0.1", "-l", f"{folder}/log")
-        try:
-            yield f"postgresql://me@127.0.0.1:{port}/postgres"
-        finally:
-            control("stop", "-m", "fast")
-
-
 @pytest.mark.slow
-def test_two_machines_share_a_database_and_one_takes_over_a_silent_trial(
-    tmp_path, monkeypatch, database
-):
+def test_two_machines_share_a_database_and_one_takes_over_a_silent_trial(tmp_path, monkeypatch):
     monkeypatch.setattr("quadjax.sweeps.study.HEARTBEAT", 1)
     monkeypatch.setattr("quadjax.sweeps.study.GRACE", 2)
-    entries = {"storage": database, "executor": {"workers": 1}}
+    entries = {"storage": f"sqlite:///{tmp_path}/study.db", "executor": {"workers": 1}}
     sweep, _, study = open_small(tmp_path / "a", **entries)
     silent = study.ask()
     params = sweep.suggest(silent)
