@@ -15,10 +15,8 @@ import numpy as np
 
 import quadjax
 from quadjax.cli import options, script
-from quadjax.config.assembly import make_race
 from quadjax.core.errors import InputError
 from quadjax.learners.parallel import prepare_devices
-from quadjax.training.build import untrained_policy
 from quadjax.training.score import score_runs
 
 
@@ -44,16 +42,17 @@ def by_sb3(config: quadjax.Config, clock: Clock, folder: Path) -> None:
     """Train with Stable-Baselines3, PyTorch on all cores."""
     from stable_baselines3.common.callbacks import BaseCallback
 
-    from quadjax.integrations import sb3
+    from benchmarks.sb3_ppo import make_ppo
 
-    untrained, runs = untrained_policy(config), score_runs(config)
+    model, file, runs = make_ppo(config), folder / "sb3.zip", score_runs(config)
 
     class Evaluation(BaseCallback):
         best, done = np.inf, False
 
         def _on_rollout_start(self) -> None:
             if self.num_timesteps:
-                policy = sb3.policy_of_ppo(self.model, untrained)
+                self.model.save(file)
+                policy = quadjax.Policy.load(file, config)
                 score = quadjax.evaluate(policy, config, runs=runs, deterministic=True).laps.score
                 if score <= self.best:
                     policy.save(folder / "policy.npz")
@@ -65,7 +64,6 @@ def by_sb3(config: quadjax.Config, clock: Clock, folder: Path) -> None:
             return not self.done
 
     folder.mkdir(parents=True, exist_ok=True)
-    model = sb3.make_ppo(*make_race(config), config.learner, config.network, config.seed)
     model.learn(config.run.steps, callback=Evaluation())
 
 

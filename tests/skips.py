@@ -12,8 +12,6 @@ ALLOWED = (  # the beginning of a test's id, and a part of the reason
     ("tests/policy/test_torch_files.py", "the extra torch is not installed"),
     ("tests/policy/test_torch_files.py", "the extra sb3 is not installed"),
     ("tests/test_gym.py", "the extra sb3 is not installed"),
-    # It has upper limits on the versions of JAX and Gymnasium.
-    ("tests/test_gym.py", "gymnax is not installed"),
     # Files of other authors, which the repository must not contain.
     ("tests/fitting/", "no logs of real flights"),
     ("tests/policy/test_c_networks.py", "no files of the authors"),

@@ -1,1 +1,1 @@
-"""The race in other projects' interfaces: Gymnasium, gymnax and Stable-Baselines3."""
+"""The race in other projects' interfaces: Gymnasium and Stable-Baselines3."""

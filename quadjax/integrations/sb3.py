@@ -4,7 +4,6 @@ Stable-Baselines3 distinguishes a truncation from a crash by ``infos[i]["TimeLim
 bootstraps from ``infos[i]["terminal_observation"]``, the observation before the reset.
 """
 
-import dataclasses
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -12,17 +11,12 @@ import numpy as np
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.integrations.gym import AutoresetMode, RaceVectorEnv
-from quadjax.learners.ppo import PPO as Hyperparameters
-from quadjax.learners.section import LearnerSection, Network
-from quadjax.policy.file import Policy
 from quadjax.race.types import RaceParams
 
 try:
-    import torch
-    from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError:
-    PPO, VecEnv = None, object  # so that the module can be imported and documented without them
+    VecEnv = object  # so that the module can be imported and documented without it
 
 Indices = None | int | Iterable[int]
 
@@ -38,7 +32,7 @@ class RaceVecEnv(VecEnv):
         Raises:
             InputError: Stable-Baselines3 is not installed.
         """
-        if PPO is None:
+        if VecEnv is object:
             raise InputError(
                 "this needs Stable-Baselines3, which is not installed: pip install 'quadjax[sb3]'"
             )
@@ -94,67 +88,3 @@ class RaceVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> Sequence[bool]:
         """No drone is wrapped by itself."""
         return [False] * len(list(self._get_indices(indices)))
-
-
-def make_ppo(
-    environment: Environment,
-    params: RaceParams,
-    learner: LearnerSection,
-    network: Network,
-    seed: int,
-    device: str = "cpu",
-) -> PPO:
-    """Stable-Baselines3's PPO with the hyperparameters of a config, on a race.
-
-    Separate networks and state-independent Gaussian noise, as in ``quadjax.learners.ppo``. The
-    ``learner`` is ``quadjax.PPO(...)``, or the section ``learner`` of a config.
-
-    Raises:
-        InputError: hyperparameters of another algorithm.
-    """
-    if not isinstance(learner, Hyperparameters):
-        raise InputError(f"learner.algorithm is {learner.algorithm}, allowed: ppo")
-    hidden = list(network.hidden)
-    return PPO(
-        "MlpPolicy",
-        RaceVecEnv(environment, params, learner.num_envs, seed),
-        learning_rate=learner.learning_rate,
-        n_steps=learner.rollout_length,
-        batch_size=learner.num_envs * learner.rollout_length // learner.num_minibatches,
-        n_epochs=learner.num_epochs,
-        gamma=learner.discount,
-        gae_lambda=learner.gae_lambda,
-        clip_range=learner.clip_range,
-        ent_coef=learner.entropy_coefficient,
-        vf_coef=learner.value_coefficient,
-        max_grad_norm=learner.max_grad_norm,
-        policy_kwargs={
-            "net_arch": {"pi": hidden, "vf": hidden},
-            "activation_fn": {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[network.activation],
-            "log_std_init": learner.initial_log_std,
-        },
-        seed=seed,
-        device=device,
-    )
-
-
-def policy_of_ppo(model: PPO, like: Policy) -> Policy:
-    """The MLP policy of Stable-Baselines3, such as of ``make_ppo``, as a quadjax policy.
-
-    Vehicle, observation and commands are those of ``like``, a policy of the same race, such as
-    ``quadjax.training.build.untrained_policy(config)`` returns.
-    """
-    network = model.policy
-    linear = [m for m in network.mlp_extractor.policy_net if isinstance(m, torch.nn.Linear)]
-    layers = tuple(
-        (m.weight.detach().cpu().numpy().T, m.bias.detach().cpu().numpy())
-        for m in [*linear, network.action_net]
-    )
-    return dataclasses.replace(
-        like,
-        layers=layers,
-        log_std=network.log_std.detach().cpu().numpy(),
-        noise_on="mean",
-        source={"trained_by": "Stable-Baselines3"},
-        value=None,
-    )

@@ -1,5 +1,6 @@
 """The Markdown pages of the project and the code blocks in them."""
 
+import importlib.util
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,7 +41,8 @@ def blocks_of(page: Path) -> list[Block]:
     """The fenced blocks of a page, with what the comments before them say.
 
     A line ``--8<-- "FILE"`` is replaced by that file of the repository, as MkDocs does.
-    ``<!-- test: skip: REASON -->`` and ``<!-- test: setup: CODE -->`` apply to the next block.
+    ``<!-- test: skip: REASON -->``, ``<!-- test: needs: MODULE -->``, which skips the block where
+    the module is not installed, and ``<!-- test: setup: CODE -->`` apply to the next block.
     """
     lines = page.read_text(encoding="utf-8").splitlines()
     blocks: list[Block] = []
@@ -56,6 +58,8 @@ def blocks_of(page: Path) -> list[Block]:
         code = _SNIPPET.sub(lambda match: (ROOT / match[1]).read_text("utf-8").rstrip("\n"), code)
         said = dict(_DIRECTIVE.findall("\n".join(lines[since:start])))
         named = _TITLE.search(title)
+        if (module := said.get("needs")) and importlib.util.find_spec(module) is None:
+            said["skip"] = f"{module} is not installed"
         rest = (code, said.get("skip", ""), said.get("setup", ""))
         blocks.append(Block(page, start + 1, language, named[1] if named else "", *rest))
         opened, since = None, number + 1

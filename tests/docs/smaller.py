@@ -9,6 +9,7 @@ from tests.surface.short import OF_EACH, OF_LEARNER
 WIDE = {"position": 32.0, "velocity": 64.0, "rates": 1024.0, "next_position": 16.0}
 CODE = [  # in Python
     (r"\bsteps=[\d_]+", "steps=512"),
+    (r"\.learn\([\d_]+\)", ".learn(512)"),
     (r"\bruns=\d+", "runs=1"),
     (r"\bflights=\d+, laps=\d+", "flights=2, laps=1"),
     (r"\bnum_envs=\d+", "num_envs=16"),
