@@ -20,7 +20,7 @@ ALLOWED = {
     "export": CONFIG - {"learners"} | {"config", "policy"},
     "fitting": {"core", "vehicle", "flights"},
     "limits": {"core", "vehicle", "race", "config", "policy", "flights"},
-    "integrations": CONFIG | {"config", "policy", "training"},
+    "integrations": {"core", "race", "config"},
     "plant": CONFIG - {"learners"} | {"config", "policy", "flights"},
     "log_states": {"core", "vehicle", "flights", "fitting"},
     "predictions": {"core", "vehicle", "flights", "fitting", "log_states"},
