@@ -2,7 +2,7 @@
 
     python -m benchmarks.instructions FILE.qjp ...
 
-A row for each processor, kernel and compiler that is installed (the extra ``verify``, and GCC for
+A row for each processor, kernel and compiler that is installed (the extra ``test``, and GCC for
 ARM). An inference goes from floats to commands; a step of the pilot also has the gates and the
 observation. Flash is the code; the words come on top. docs/design/fixed_point.md has the table.
 """
@@ -13,12 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.instructions_boards import Board, vehicles
+from benchmarks.instructions_builds import BUILDS
 from quadjax.cli import options, script
 from quadjax.core.markdown import table
 from quadjax.export.read import read_qjp
 from quadjax.export.render import sizes_header
 from quadjax.export.targets import TARGETS
-from quadjax.export.verify.build import BUILDS, OnBoard, Sources, vehicles
+from quadjax.export.verify.build import Sources
 from quadjax.export.verify.result import Skipped
 from quadjax.export.words import FixedPolicy
 
@@ -33,13 +35,12 @@ def rows_of(path: Path, policy: FixedPolicy) -> list[list[str]]:
     row = np.full(policy.network.inputs, 0.3, np.float32)
     vehicle = vehicles(policy, np.zeros((1, policy.race.state_size), np.float32))
     for processor, builds in BUILDS.items():
-        target = next(t for t in TARGETS.values() if t.processor == processor)
         for build in builds:
             with tempfile.TemporaryDirectory() as name:
-                sources = Sources.write(target, None, Path(name), policy)
+                sources = Sources.write(TARGETS[processor], None, Path(name), policy)
                 (sources.include / "qj_sizes.h").write_text(sizes_header(policy))
                 try:
-                    board = OnBoard(sources, build, words, Path(name))
+                    board = Board(sources, build, words, Path(name))
                 except Skipped as reason:
                     print(f"{processor}, {build.label}: {reason}", file=sys.stderr)
                     continue

@@ -21,7 +21,7 @@ def compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     folder.mkdir(exist_ok=True)
 
     def compiled(self: Compiler, source: Path, options: Sequence[str]) -> Path:
-        """The object of a source; one that is not C, such as an object, as it is."""
+        """The object of a source; an object as it is."""
         if Path(source).suffix != ".c":
             return source
         command = [*self.command, *self.flags, "-E", "-P", str(source), *options]
@@ -40,7 +40,7 @@ def compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     def cached(
         self: Compiler, sources: Sequence[Path], output: Path, extra: Sequence[str] = ()
     ) -> Path:
-        if self.name == "zig cc" or any(Path(source).suffix == ".cpp" for source in sources):
+        if self.name == "zig cc":
             return build(self, sources, output, extra)
         try:
             objects = [compiled(self, source, extra) for source in sources]

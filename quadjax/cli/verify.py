@@ -25,19 +25,18 @@ def verify(
     race: opt.Race = None,
     json: opt.JsonFile = None,
 ) -> int:
-    """Build and run an exported folder with the compilers of this machine.
+    """Build and run an exported folder with the compiler of this machine.
 
-    A C compiler of the host, or the one that pip installs, and an emulated
-    processor (pip install 'quadjax[verify]') are enough; with
-    arm-linux-gnueabi-gcc or arm-none-eabi-gcc on the path, their code runs too. A
-    check without its tool is skipped, with the reason. A .qjp file in place of DIR
-    is checked by itself. Exit status 0: no check failed.
+    A C compiler of this machine, or the one that pip installs (pip install
+    'quadjax[verify]'), is enough. A check that does not apply is skipped, with the
+    reason. A .qjp file in place of DIR is checked by itself. Exit status 0: no check
+    failed.
 
     Example: quadjax verify out/ --json verification.json
 
     Args:
         folder: Folder of quadjax export, or FILE.qjp.
-        vectors: Vectors for every build.
+        vectors: Vectors on which C and NumPy must agree.
         runs: Runs of the closed loop.
         race: Config of the race, if that of DIR names your own code (config.yaml of DIR).
         json: Write the table.

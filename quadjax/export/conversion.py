@@ -72,7 +72,7 @@ class Converted:
         texts["qj_sizes.h"] = sizes_header(self.fixed, any_policy=target.as_file)
         if not target.as_file:
             texts[f"{self.options.name}.h"] = policy_header(self.fixed, self.words, self._facts())
-        if target.glue and not target.as_file:
+        if target.glue:
             texts["quadjax_policy.h"] = glue_header(self.fixed, self.race)
         placed = {f"{target.folder}/{name}": text for name, text in texts.items()}
         every = runtime_files(target) | placed

@@ -37,7 +37,7 @@ from quadjax.export.targets import DEFAULT_TARGET, TARGETS, find_target, runtime
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 
-FOLDERS = ("paparazzi", "indiflight", "qjp", "px4", "crazyflie", "c")
+FOLDERS = ("paparazzi", "indiflight", "qjp", "c")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -69,7 +69,7 @@ def inner_loop(policy: FixedPolicy, race: PolicyRace, target: Target) -> str | N
         if paparazzi and is_rate:
             command |= {"scale": BFP_RATE, "integer": "int32_t, INT32_RATE_FRAC"}
         commands.append(command)
-    held = race.choices.layout.counts_steps or not target.every_call
+    held = race.choices.layout.counts_steps
     training, calls = 1.0 / race.time_step, call_frequency(policy) if target.calls else None
     tree: dict[str, object] = {
         "format": FORMAT,

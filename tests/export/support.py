@@ -32,14 +32,12 @@ from tests import reference as ref
 from tests.convert import residual_of
 from tests.frozen.c_code import LAYOUTS, MORE, history
 
-FIVE_INCH = ("vehicle=5inch", "observation.actuators=false", "observation.last_action=true")
 BATTERY = "battery.charge=[0.1, 1.0]"
 EARLIER = history("position, velocity, attitude, rates, rpm, last_action", 9)
 RANDOM_TRACK = "track.generate.seed=1"
 RACES = {  # preset, overrides
     "e2e": ("e2e +disturbance", ()),
     "indi": ("indi", ()),
-    "without rotors": ("e2e", (*FIVE_INCH, RANDOM_TRACK)),
     "battery": ("e2e", (BATTERY, "observation.disturbance=none")),
     "everything": ("e2e +disturbance", (EARLIER, *MORE, BATTERY)),
     "half turns": ("e2e_race", ("vehicle=5inch", "track=figure8_tudelft")),

@@ -4,7 +4,6 @@ import dataclasses
 import errno
 import functools
 import json
-import re
 import shutil
 import signal
 from pathlib import Path
@@ -56,7 +55,7 @@ def contents(folder):
 
 @pytest.mark.slow
 def test_all_checks_of_an_exported_folder(flown):
-    """All pass, but for what the export allows and what a missing tool justifies."""
+    """All pass, but for what the export allows."""
     results = run.verify(flown, COUNT, 8, allow_unfinished=True, allow_other_race=True)
     assert [result.check for result in results] == ["files", *CHECKS]
     for result in results:
@@ -64,13 +63,10 @@ def test_all_checks_of_an_exported_folder(flown):
             option, reason = ALLOWANCES[result.check]  # of real flights, among others
             assert reason in result.figure
             assert result.figure.endswith(f"allowed by {option}=True")
-        elif result.verdict == SKIPPED:
-            module = re.match(r"no (?:compiler or emulator for ARM|(\w+); pip)", result.figure)
-            assert module and not toolchain.has_module(module[1] or "ziglang"), result.figure
         else:
             assert result.verdict == PASSED, result.figure
     figures = {result.check: result.figure for result in results}
-    assert "instructions" in figures["processor"] and "missed" in figures["simulator"]
+    assert "missed" in figures["simulator"]
 
 
 def test_a_gate_ahead_that_faces_the_other_way(tmp_path, no_flights):
@@ -264,18 +260,3 @@ def test_an_interrupted_export_is_whole_or_nothing(during, tmp_path, no_flights,
         assert read_folder(out).options.name == "first"
     else:
         assert not out.exists()
-
-
-def test_ctrl_c_on_the_emulator_ends_the_verification(exported, monkeypatch):
-    machine = pytest.importorskip("quadjax.export.verify.machine")
-    if not toolchain.has_module("ziglang"):
-        pytest.skip("no compiler for ARM")
-    instructions = machine.Machine._instructions
-
-    def interrupted(self, *place):
-        signal.raise_signal(signal.SIGINT)
-        return instructions(self, *place)
-
-    monkeypatch.setattr(machine.Machine, "_instructions", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        run.verify(exported, COUNT, only=("processor",))

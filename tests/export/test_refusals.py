@@ -58,18 +58,6 @@ POLICIES = [  # words of the message, changes of the policy, its race or its exp
         "0.01 s, allowed: whole periods of 256",
         {"name": "e2e with a history", "options": ALLOWED | {"sample_rate": 256.0}},
     ),
-    (
-        "observes rotor_speed, which Crazyflie does not give",
-        {"name": "published racing", "options": ALLOWED | {"target": "crazyflie"}},
-    ),
-    (
-        "0.0105 s, allowed: whole milliseconds",
-        {
-            "name": "without rotors",
-            "config": ["rules.time_step=0.0105"],
-            "options": ANYWHERE | {"target": "crazyflie"},
-        },
-    ),
     ("0 of 32 flights finish 6 laps of track square4 .*allow_unfinished", {"options": {}}),
 ] + [
     (f"trained in another race than config: {text}; all", {"config": [override]})

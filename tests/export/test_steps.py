@@ -32,7 +32,7 @@ class Pilot:
         fields = (*STATE_FIELDS, *[""] * (15 - len(STATE_FIELDS)), "sensors")
         bits = sum(1 << (1 + fields.index(name)) for name in gives)
         kinds = sum(1 << kind for kind in (RPM, MOTORS, RATES))
-        interface = np.array([bits, kinds, call_ns, 1], np.uint32)
+        interface = np.array([bits, kinds, call_ns], np.uint32)
         library.qj_pilot_load.restype = ctypes.c_char_p
         memory, data, taken = pointers(self._memory, self._words, interface)
         self.wrong = library.qj_pilot_load(memory, data, len(words), taken)

@@ -26,7 +26,7 @@ def test_a_shipped_policy_is_exported_verified_and_flies(exported, tmp_path, mon
     np.testing.assert_allclose(result["laps"], [[2.63, 2.24]], atol=0.05)
     assert run("verify", exported, "--vectors", 500, "--json", "verify.json") == 0
     results = json.loads(Path("verify.json").read_text())["results"]
-    assert len(results) == 9 and "fail" not in {row["verdict"] for row in results}
+    assert len(results) == 8 and "fail" not in {row["verdict"] for row in results}
 
 
 @pytest.mark.slow

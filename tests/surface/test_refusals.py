@@ -219,20 +219,18 @@ export e2e --output out --name qj | runtime names
 export e2e --output out --name quadjax_policy | runtime names
 export e2e --output out --track nowhere.yaml | nowhere.yaml
 export e2e --output= | --output
-export e2e --output out --target px4 | px4 motor racing vehicle=5inch
+export e2e --output out --target indiflight | indiflight motor racing vehicle=5inch
 verify nosuch | nosuch folder export .qjp
 verify '' | DIR '' folder export
 verify tracks | tracks _report.json folder export
 verify notes.txt | notes.txt
-sil nosuch | nosuch --listen
-sil e2e --target px4 | px4 motor racing vehicle=5inch
+sil nosuch | nosuch folder policy
+sil e2e --target indiflight | indiflight motor racing vehicle=5inch
 sil words.qjp | words.qjp folder
-sil indi --listen 5005 | HOST:PORT
 sil indi --delay 5 | --delay effect --late
 sil indi --simulator effects.gusts=0 | effect --simulator
 sil indi --wrong-unit rates=turns | --wrong-unit rates=turns
 sil indi --drop 2 | 0 to 1
-sil indi --speed 0 | --speed 0.01
 sil indi wings=2 | wings
 import e2e notes.txt --output new.npz | notes.txt
 import e2e bytes.npz --output new.npz | bytes.npz

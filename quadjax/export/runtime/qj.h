@@ -2,9 +2,10 @@
  * A quadjax policy as data: checks its words and runs it, with integers only.
  *
  * The words are those of a .qjp file, or the table of an exported header. They stay where the caller
- * has them, in flash or in RAM; nothing is allocated and no C library is called. A policy that
- * qj_load accepts cannot overflow, and its commands are within the limits that its words state,
- * whatever comes in. That is no promise of a safe flight. The processor must be little-endian.
+ * has them, in flash or in RAM; nothing is allocated and no C library is called. Buffers take 8 bytes
+ * of stack for each neuron of the widest layer, 16 in qj_load. A policy that qj_load accepts cannot
+ * overflow, and its commands are within the limits that its words state, whatever comes in. That is
+ * no promise of a safe flight. The processor must be little-endian.
  *
  * World north-east-down, body forward-right-down, SI units. Rotors and their commands are in the
  * order front-left, front-right, rear-right, rear-left.
@@ -21,14 +22,6 @@
 
 #ifdef __cplusplus
 extern "C" {
-#endif
-
-/* Buffers: 8 bytes of stack for each neuron of the widest layer, 16 in qj_load; with -DQJ_STATIC=1
- * they are static instead, and only one task may call the functions. */
-#ifdef QJ_STATIC
-#define QJ_BUFFER static
-#else
-#define QJ_BUFFER
 #endif
 
 /* The NEON kernel is compiled in for an ARM target whose flags allow NEON, and there it is the

@@ -229,7 +229,7 @@ static qj_error prove_layer(const qj_layer *layer, uint32_t hidden, int64_t half
 
 /* half: that is folded into the output's padded rows. */
 static qj_error prove(const qj_layer *layer, uint32_t count, int64_t half) {
-  QJ_BUFFER ranges range[2];
+  ranges range[2];
   for (uint32_t i = 0U; i < QJ_MAX_WIDTH; ++i) {
     range[0].high[i] = (i < layer->columns) ? QJ_INPUT_ONE : 0;
     range[0].low[i] = -range[0].high[i];

@@ -51,7 +51,7 @@ static void monomials(const int32_t s[13], int64_t m[QJ_MONOMIALS]) {
 /* What the residual networks add, held to half of the channels' ranges. */
 static void residual(const qj_policy *policy, const int32_t s[13], uint32_t first, uint32_t count,
                      const int32_t *shifts, uint32_t outputs, int64_t *x) {
-  QJ_BUFFER int32_t buffer[2][QJ_MAX_WIDTH];
+  int32_t buffer[2][QJ_MAX_WIDTH];
   const int32_t *const e = policy->estimator;
   const qj_layer *const layer = &policy->layer[first];
   int64_t sums[QJ_COMMANDS];

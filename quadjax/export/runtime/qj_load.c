@@ -198,7 +198,7 @@ static uint32_t network_test_fails(const qj_policy *policy, const int32_t *test)
 
 static qj_status observe_test(const qj_policy *policy, qj_race *race, const int32_t *test,
                               int32_t *q) {
-  QJ_BUFFER float state[QJ_MAX_STATE];
+  float state[QJ_MAX_STATE];
   for (uint32_t i = 0U; i < policy->state_size; ++i) {
     state[i] = qj_float(test[i]);
   }
@@ -209,7 +209,7 @@ static qj_status observe_test(const qj_policy *policy, qj_race *race, const int3
 /* States one after the other with their inputs; with a history, further rounds that go through all
  * of it, of which a digest is stated. */
 static uint32_t race_test_fails(const qj_policy *policy, qj_race *race, const int32_t *tests) {
-  QJ_BUFFER int32_t q[QJ_MAX_WIDTH];
+  int32_t q[QJ_MAX_WIDTH];
   const int32_t *const w = policy->words;
   const uint32_t size = policy->state_size + 4U + policy->inputs;
   uint32_t digest = QJ_DIGEST_START;

@@ -220,7 +220,7 @@ qj_status qj_quantize(const qj_policy *policy, const float *x, int32_t *q) {
 
 void qj_forward(const qj_policy *policy, const int32_t *q, int32_t command[QJ_COMMANDS],
                 uint32_t *trace) {
-  QJ_BUFFER int32_t buffer[2][QJ_MAX_WIDTH];
+  int32_t buffer[2][QJ_MAX_WIDTH];
   int64_t sums[ROWS_PER_BLOCK];
   for (uint32_t i = 0U; i < policy->inputs; ++i) {
     const int32_t high = (q[i] > QJ_INPUT_ONE) ? QJ_INPUT_ONE : q[i];
@@ -273,7 +273,7 @@ uint32_t qj_noise_digest(const int32_t *noise) {
 
 void qj_sample(const qj_policy *policy, const int32_t *q, uint32_t *counter,
                int32_t command[QJ_COMMANDS]) {
-  QJ_BUFFER int32_t buffer[2][QJ_MAX_WIDTH];
+  int32_t buffer[2][QJ_MAX_WIDTH];
   int64_t sums[ROWS_PER_BLOCK];
   if (policy->noise == 0) {
     qj_forward(policy, q, command, 0);

@@ -106,8 +106,7 @@ const char *qj_pilot_load(qj_pilot *pilot, const int32_t *words, uint32_t bytes,
   if (interface->call_ns == 0U) {
     return "call_ns is 0";
   }
-  pilot->every_call =
-      ((interface->every_call != 0U) && (qj_counts_steps(&pilot->policy) == 0U)) ? 1U : 0U;
+  pilot->every_call = (qj_counts_steps(&pilot->policy) == 0U) ? 1U : 0U;
   const uint32_t half_call_ns = interface->call_ns / 2U;
   pilot->due_us = (pilot->policy.period_ns > half_call_ns)
                       ? (pilot->policy.period_ns - half_call_ns) / NS_PER_US
@@ -201,8 +200,8 @@ static const float *numbers_of(const qj_pilot *pilot, const qj_vehicle *vehicle,
 
 /* One step of the policy. */
 static void decide(qj_pilot *pilot, const qj_vehicle *vehicle) {
-  QJ_BUFFER float state[QJ_MAX_STATE];
-  QJ_BUFFER int32_t q[QJ_MAX_WIDTH];
+  float state[QJ_MAX_STATE];
+  int32_t q[QJ_MAX_WIDTH];
   const qj_policy *const policy = &pilot->policy;
   qj_counters *const counters = &pilot->counters;
   int32_t integers[QJ_COMMANDS];

@@ -20,9 +20,8 @@ extern "C" {
 /* What an autopilot measures and takes. */
 typedef struct {
   uint32_t gives;
-  uint32_t kinds;      /* commands that it takes: QJ_GIVES(QJ_MOTOR) and so on */
-  uint32_t call_ns;    /* between two calls of qj_pilot_step */
-  uint32_t every_call; /* a policy that observes no earlier step runs at every call */
+  uint32_t kinds;   /* commands that it takes: QJ_GIVES(QJ_MOTOR) and so on */
+  uint32_t call_ns; /* between two calls of qj_pilot_step */
 } qj_interface;
 
 /* World north-east-down, body forward-right-down, SI units; rotors front-left, front-right,
@@ -66,7 +65,7 @@ typedef enum {
 typedef struct {
   uint32_t usable;
   uint32_t racing; /* since the first step after qj_pilot_reset */
-  uint32_t every_call;
+  uint32_t every_call; /* the policy observes no earlier step: it runs at every call */
   uint32_t own_estimator; /* the policy's estimator of disturbances runs */
   uint32_t gives;
   uint32_t due_us;   /* from a step to the next: its period less half a call */

@@ -139,7 +139,7 @@ static void remember(const qj_policy *policy, qj_race *race, const int32_t *s) {
 }
 
 qj_status qj_observe(const qj_policy *policy, qj_race *race, const float *state, int32_t *q) {
-  QJ_BUFFER int32_t s[QJ_MAX_STATE];
+  int32_t s[QJ_MAX_STATE];
   const int32_t *const gate = gate_of(policy, race->target);
   const int32_t *part = policy->part;
   qj_status status = qj_quantize_all(state, policy->exponents, policy->state_size, s);

@@ -1,7 +1,6 @@
 """The glue of an autopilot in a stand-in for its firmware, on this machine."""
 
 import ctypes
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from quadjax.export.verify.result import require
 from quadjax.export.verify.toolchain import host
 from quadjax.export.words import COMMANDS, FixedPolicy
 
-CPP = "-std=gnu++14 -fno-exceptions -fno-rtti -fno-threadsafe-statics".split()
 GLUE_STEPS, GLUE_TOLERANCE = 50, 2e-5  # of a command's range: an autopilot has other units
 
 
@@ -31,16 +29,9 @@ def build_autopilot(
     Multiplications are not fused, so that every machine computes the same.
     """
     files, of_glue = sources.autopilot()
-    compiler, options = host(), [*of_glue, "-ffp-contract=off", *options]
-    options += ["-fPIC"] if output.suffix == ".so" else []
-    cpp = [path for path in files if path.suffix == ".cpp"]
-    for path in cpp:
-        plain = tuple(flag for flag in compiler.flags if not flag.startswith("-std"))
-        files[0] = output.with_suffix(".o")
-        options_of_cpp = [*options, *CPP, "-c"]
-        dataclasses.replace(compiler, flags=plain).build([path], files[0], options_of_cpp)
-    options += ["-shared"] if output.suffix == ".so" else []
-    return compiler.build([*files, *others], output, [*options, "-lm"])
+    options = [*of_glue, "-ffp-contract=off", *options, "-lm"]
+    options += ["-shared", "-fPIC"] if output.suffix == ".so" else []
+    return host().build([*files, *others], output, options)
 
 
 class Autopilot:
@@ -86,7 +77,7 @@ def compare_glue(sources: Sources, policy: FixedPolicy, work: Path) -> str:
     """
     target, glue = sources.target, Autopilot(sources, work)
     require(glue.wrong is None, f"the glue rejects the policy: {glue.wrong}")
-    held = policy.race.box.layout.counts_steps or not target.every_call
+    held = policy.race.box.layout.counts_steps
     calls = calls_per_step(1e9 / sources.call_ns, policy.race.time_step) if held else 1
     emulated, rows = PilotEmulator(policy, calls), random_vehicles(policy, GLUE_STEPS)
     network = policy.network

@@ -1,11 +1,10 @@
-"""The C of an export with its harness, compiled for this machine or an emulated processor."""
+"""The C of an export with its harness, compiled for this machine."""
 
 import ctypes
 import dataclasses
-import functools
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,23 +12,13 @@ import numpy as np
 from quadjax.core.files import write_bytes
 from quadjax.export.render import sizes_header, words_table
 from quadjax.export.targets import RUNTIME, SENSORS, STATE_FIELDS, Target, runtime_files
-from quadjax.export.verify.result import Skipped, require
-from quadjax.export.verify.toolchain import (
-    FREESTANDING,
-    Compiler,
-    arm_none_eabi,
-    bebop,
-    has_module,
-    host,
-    zig_arm,
-    zig_thumb,
-)
+from quadjax.export.verify.result import require
+from quadjax.export.verify.toolchain import Compiler, host
 from quadjax.export.words import COMMANDS, FixedPolicy, pack
 from quadjax.race.observations import DISTURBANCES
 
 HOST = RUNTIME / "host"
-FILE = "policy.qjp"  # the words, for glue that reads a file
-SYSTEM = ("stdbool.h", "stdint.h", "fcntl.h", "math.h", "stdio.h", "string.h", "unistd.h")
+SYSTEM = ("stdbool.h", "stdint.h", "math.h")
 VEHICLE = np.dtype(  # qj_vehicle
     [("time_us", "<u4")]
     + [(name, "<f4", size) for name, size in (
@@ -38,33 +27,6 @@ VEHICLE = np.dtype(  # qj_vehicle
         ("gyro", 3), ("specific_force", 3), ("body_velocity", 3), ("others_command", 4),
     )]
 )  # fmt: skip
-
-
-@dataclasses.dataclass(frozen=True)
-class Build:
-    """The C by one compiler for one processor, and the kernel that runs."""
-
-    label: str
-    make: Callable[[], Compiler]
-    kernel: int = 0  # 1: NEON
-    options: tuple[str, ...] = ()
-
-
-BUILDS = {
-    "Cortex-A9": (
-        Build("scalar, zig", functools.partial(zig_arm, neon=False)),
-        Build("NEON, zig", functools.partial(zig_arm, neon=True), 1),
-        Build("scalar, gcc", bebop, options=("-DQJ_WITH_NEON=1",)),
-        Build("NEON, gcc", bebop, 1, ("-DQJ_WITH_NEON=1",)),
-    ),
-    **{
-        processor: (
-            Build("zig", functools.partial(zig_thumb, processor)),
-            Build("gcc", functools.partial(arm_none_eabi, processor)),
-        )
-        for processor in ("Cortex-M7", "Cortex-M4")
-    },
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,9 +50,8 @@ class Sources:
             texts = {name: text.encode() for name, text in runtime_files(target).items()}
             sizes = sizes_header(policy, any_policy=True).encode()
             files = texts | {f"{target.folder}/qj_sizes.h": sizes}
-        words = pack(policy)
-        table = words_table("quadjax_words", words).encode()
-        for name, data in {**files, FILE: words, "stand_in/quadjax_words.h": table}.items():
+        table = words_table("quadjax_words", pack(policy)).encode()
+        for name, data in {**files, "stand_in/quadjax_words.h": table}.items():
             write_bytes(work / name, data)
         estimator = policy.battery or policy.estimator
         if estimator is not None:
@@ -117,7 +78,6 @@ class Sources:
             ),
             "KINDS": sum(1 << kind for kind in self.target.kinds),
             "CALL_NS": self.call_ns,
-            "EVERY_CALL": int(self.target.every_call),
         }
         return [f"-I{self.include}", *(f"-DINTERFACE_{k}={v}U" for k, v in values.items())]
 
@@ -128,18 +88,17 @@ class Sources:
         stand-in calls the pilot.
         """
         target, headers = self.target, self.folder / "stand_in"
-        (firmware,) = HOST.glob(f"{target.glue or 'pilot'}.c*")
+        firmware = HOST / f"{target.glue or 'pilot'}.c"
         files = [firmware, *self.flying, self.include / "qj_angles.c"]
         if target.glue == "indiflight":  # its build has two files, one of which is the glue
             files = [firmware, self.include / "neural_network.c"]
-        for path in self.include.glob("*.[ch]*"):
+        for path in self.include.glob("*.[ch]"):
             for name in re.findall(r"#include [<\"](.+)[>\"]", path.read_text("utf-8")):
                 if name not in SYSTEM and not (self.include / name).exists():
                     exists = (self.include / Path(name).name).exists()
                     text = f"#include <{Path(name).name}>\n" if exists else ""
                     write_bytes(headers / name, text.encode())
-        options = [f"-I{headers}", f"-I{HOST}", *self.options, *target.flags]
-        return files, [*options, f'-DQUADJAX_POLICY_FILE="{self.folder / FILE}"']
+        return files, [f"-I{headers}", f"-I{HOST}", *self.options]
 
 
 def load_library(
@@ -168,7 +127,7 @@ class Library:
         library = load_library(host(), files, work / "host.so", sources.options)
         self._library = library
         self._pilot = np.zeros(library.harness_size() // 8 + 1, np.int64)
-        error = library.harness_load(*pointers(self._pilot, self._words), len(words), 0)
+        error = library.harness_load(*pointers(self._pilot, self._words), len(words))
         require(error == 0, f"the loader or the pilot rejects the words: error {error}")
 
     def _rows(
@@ -209,72 +168,3 @@ class Library:
 def pointers(*arrays: np.ndarray) -> list[ctypes.c_void_p]:
     """The addresses of arrays, as arguments of C."""
     return [array.ctypes.data_as(ctypes.c_void_p) for array in arrays]
-
-
-class OnBoard:
-    """The C on an emulated processor, with a policy loaded."""
-
-    def __init__(self, sources: Sources, build: Build, words: bytes, work: Path) -> None:
-        """Build it and load the words.
-
-        Raises:
-            Failed: the loader or the pilot rejects them.
-            Skipped: no emulator, or no compiler.
-        """
-        for module in ("unicorn", "elftools"):
-            if not has_module(module):
-                raise Skipped(f"no {module}; pip install 'quadjax[verify]'")
-        from quadjax.export.verify.machine import Machine  # needs packages of an extra
-
-        compiler = build.make()
-        flags = ["-Wl,-e,harness_load", *sources.options, *build.options]
-        flags += [] if compiler.name == "zig cc" else FREESTANDING
-        memory = HOST / "memory.c"
-        slug = f"{sources.target.processor}_{build.label}".replace(", ", "_").replace(" ", "_")
-        files = [*sources.flying, HOST / "harness.c", memory]
-        elf = compiler.build(files, work / f"{slug}.elf", flags)
-        self.compiler = compiler.name
-        self.machine: Machine = Machine(elf, sources.target.processor)
-        self.read_only, self.writable = sizes_of(elf)
-        self._words = self.machine.place(np.frombuffer(words, np.int32)), len(words)
-        self.pilot = self.machine.reserve(self.machine.call("harness_size"))
-        arguments = (self.pilot, *self._words, build.kernel)
-        error = self.machine.call("harness_load", *arguments)
-        require(error == 0, f"{build.label}: the loader or the pilot rejects the words: {error}")
-
-    def loading(self) -> tuple[int, int]:
-        """Instructions and bytes of stack of ``qj_load``."""
-        policy = self.machine.reserve(4096)
-        race = self.machine.reserve(2**18)
-        return self.machine.count("qj_load", policy, race, *self._words)
-
-    def rows(self, name: str, columns: int, count: int, *parts: np.ndarray) -> np.ndarray:
-        """Rows (count, columns) int32 of a harness function."""
-        out = self.machine.reserve(4 * columns * count)
-        places = [self.machine.place(part) for part in parts]
-        self.machine.call(f"harness_{name}", self.pilot, *places, out, count)
-        return self.machine.read(out, np.int32, (count, columns))
-
-    def count(self, name: str, row: np.ndarray) -> tuple[int, int]:
-        """Instructions and bytes of stack of a harness function of one row."""
-        place, out = self.machine.place(row), self.machine.reserve(64)
-        return self.machine.count(f"harness_{name}", self.pilot, place, out)
-
-
-def sizes_of(elf: Path) -> tuple[int, int]:
-    """Bytes of read-only code and data, and of writable data."""
-    from elftools.elf.elffile import ELFFile
-
-    with open(elf, "rb") as stream:
-        sections = [s for s in ELFFile(stream).iter_sections() if s["sh_flags"] & 2]
-        writable = sum(s["sh_size"] for s in sections if s["sh_flags"] & 1)
-        return sum(s["sh_size"] for s in sections) - writable, writable
-
-
-def vehicles(policy: FixedPolicy, states: np.ndarray) -> np.ndarray:
-    """States (n, state_size) as ``qj_vehicle``; zeros for what the policy lacks."""
-    rows = np.zeros(len(states), VEHICLE)
-    for name, start in policy.race.starts.items():
-        if name in (VEHICLE.names or ()):
-            rows[name] = states[:, start : start + len(policy.race.fields[name])]
-    return rows

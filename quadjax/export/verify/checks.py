@@ -3,7 +3,6 @@
 What is a property of the C runtime, whatever the policy, is checked by the repository's tests.
 """
 
-import contextlib
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator
@@ -15,7 +14,6 @@ from quadjax.core.errors import InputError
 from quadjax.export import emulator, flights
 from quadjax.export.cases import (
     CORNERS,
-    SIMULATED_STATES,
     check_vectors,
     hostile_vectors,
     uniform_samples,
@@ -32,21 +30,19 @@ from quadjax.export.states import observe_float64
 from quadjax.export.targets import Target
 from quadjax.export.verify import measurements
 from quadjax.export.verify.autopilot import compare_glue
-from quadjax.export.verify.build import BUILDS, Library, OnBoard, Sources, vehicles
+from quadjax.export.verify.build import Library, Sources
 from quadjax.export.verify.result import Failed, Skipped, require
 from quadjax.export.words import FixedPolicy
 from quadjax.race.observations import DISTURBANCES
 
 MOTION_SAMPLES = 10_000  # of the motion that an estimator is compared in
 VECTORS = 50_000  # in memory at once
-MOST_STATES, COUNTED = 20_000, 12
+MOST_STATES = 20_000
 ACCURACY_SAMPLES, LARGEST_ERROR = 100_000, 1e-4  # of the range of a command
 OBSERVATION_TOLERANCE = 1e-6  # of each input's range
 ESTIMATOR_TOLERANCE = (1e-6, 2e-5)  # moment, N m, and force, m/s^2
 BATTERY_TOLERANCE = 0.01  # rpm
 LAP_TOLERANCE = 1e-3  # s
-LARGEST_STACK, WIDE = 3072, 120  # bytes, for networks of at most WIDE neurons per layer
-CLAMPED = 4  # instructions that depend on whether a command is clamped
 
 
 @dataclasses.dataclass
@@ -162,44 +158,6 @@ def check_host(c: Context) -> str:
 def _same(what: str, values: np.ndarray, expected: np.ndarray) -> None:
     wrong = np.flatnonzero(np.any(values != expected, axis=1))
     require(not wrong.size, f"{wrong.size} of {len(values)} {what} differ, first {wrong[:1]}")
-
-
-def check_processor(c: Context) -> str:
-    """The C on the emulated processor: the bits of NumPy, instructions, stack and memory."""
-    parts = []
-    for build in BUILDS[c.target.processor]:
-        with contextlib.suppress(Skipped):
-            board = OnBoard(c.sources, build, c.words, c.work)
-            parts.append(f"{build.label}: {_on_board(c, board)}")
-    if not parts:
-        raise Skipped("no compiler or emulator for ARM; pip install 'quadjax[verify]'")
-    return f"the same bits; {'; '.join(parts)}; words {len(c.words):,} B"
-
-
-def _on_board(c: Context, board: OnBoard) -> str:
-    network, q, (states, targets) = c.fixed.network, next(c.inputs()), c.states
-    q, states, targets = q[:: max(1, len(q) // 500)], states[-500:], targets[-500:]
-    _same("inputs", board.rows("forward", 5, len(q), q), emulator.forward_rows(network, q))
-    rows = board.rows("observe", q.shape[1] + 3, len(states), states, targets.astype(np.uint32))
-    _same("states", rows, c.expected_inputs(states, targets))
-    simulated = c.fixed.cases.states.view(np.float32)[-SIMULATED_STATES:]
-    chosen = np.concatenate([simulated, c.states[0][:COUNTED]])
-    steps = [board.count("step", row) for row in vehicles(c.fixed, chosen)[:, None]]
-    x = hostile_vectors(network)
-    x = x[np.linspace(0, len(x) - 1, COUNTED).astype(int)]
-    single = [board.count("infer", row) for row in x]
-    counts = [count for count, _ in single]
-    allowed = max(max(counts) // 1000, CLAMPED * network.outputs)
-    require(max(counts) - min(counts) <= allowed, f"instructions depend on the data: {counts}")
-    stack = max(stack for _, stack in (*steps, *single))
-    widest = max(len(layer.bias) for layer in network.layers)
-    require(stack < LARGEST_STACK or widest > WIDE, f"{stack} bytes of stack")
-    loading, more = board.loading()
-    return (
-        f"an inference {max(counts):,} instructions, a step {max(count for count, _ in steps):,}, "
-        f"{stack} B stack; loading {loading:,}, {more} B; code {board.read_only:,} B flash, "
-        f"{board.writable} B writable"
-    )
 
 
 def check_glue(c: Context) -> str:
@@ -320,11 +278,10 @@ def _unless(allowed: bool, check: Callable[[], str], option: str) -> str:
 CHECKS: dict[str, Callable[[Context], str]] = {
     "range proof": check_proof,
     "NumPy = C": check_host,
-    "processor": check_processor,
     "glue": check_glue,
     "simulator": check_simulator,
     "estimators": check_estimators,
     "own race": check_race_of_policy,
     "own flights": check_flights,
 }
-OF_A_FILE = ("range proof", "NumPy = C", "processor")
+OF_A_FILE = ("range proof", "NumPy = C")

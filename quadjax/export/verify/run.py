@@ -35,7 +35,7 @@ def verify(
 
     Args:
         path: a folder that ``export_c`` wrote, or a ``.qjp`` file.
-        vectors: number of inputs on which every build must agree.
+        vectors: number of inputs on which C and NumPy must agree.
         runs: flights of the closed loop, 0 for none.
         announce: called with the name of every check before it runs.
         only: names of the checks to run besides that of the files; all if not given.

@@ -6,10 +6,6 @@
 
 #include "qj_pilot.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* Start-up. Returns 0, or why the policy does not fly. */
 const char *firmware_start(void);
 
@@ -22,9 +18,5 @@ uint32_t firmware_call(uint32_t now_us, const qj_vehicle *vehicle, uint32_t flie
 
 /* The pilot in the glue. */
 qj_pilot *firmware_pilot(void);
-
-#ifdef __cplusplus
-}
-#endif
 
 #endif /* FIRMWARE_H */

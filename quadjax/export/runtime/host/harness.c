@@ -1,32 +1,29 @@
 /* Batches for the verification: many rows in one call. Not for flight. */
 #include "qj_pilot.h"
 
-static const qj_interface interface = {INTERFACE_GIVES, INTERFACE_KINDS, INTERFACE_CALL_NS,
-                                       INTERFACE_EVERY_CALL};
+static const qj_interface interface = {INTERFACE_GIVES, INTERFACE_KINDS, INTERFACE_CALL_NS};
 
 uint32_t harness_size(void);
-uint32_t harness_load(qj_pilot *pilot, const int32_t *words, uint32_t bytes, uint32_t kernel);
+uint32_t harness_load(qj_pilot *pilot, const int32_t *words, uint32_t bytes);
 void harness_forward(const qj_pilot *pilot, const int32_t *q, int32_t *out, uint32_t count);
 #ifdef QJ_SAMPLED
 void harness_sample(const qj_pilot *pilot, const int32_t *q, uint32_t counter, int32_t *out,
                     uint32_t count);
 #endif
-void harness_infer(const qj_pilot *pilot, const float *x, float *out);
 void harness_observe(qj_pilot *pilot, const float *states, const uint32_t *targets, int32_t *out,
                      uint32_t count);
 void harness_events(qj_pilot *pilot, const float *positions, uint32_t target, uint32_t *out,
                     uint32_t count);
 void harness_estimate(qj_pilot *pilot, const float *measured, float *out, uint32_t count);
 void harness_battery(qj_pilot *pilot, const float *samples, float *out, uint32_t count);
-void harness_step(qj_pilot *pilot, const qj_vehicle *vehicle, float *out);
 
 uint32_t harness_size(void) { return sizeof(qj_pilot); }
 
-/* An error of qj_load, 100 for a pilot that refuses the policy, or the mismatches of a kernel. */
-uint32_t harness_load(qj_pilot *pilot, const int32_t *words, uint32_t bytes, uint32_t kernel) {
+/* An error of qj_load, 100 for a pilot that refuses the policy, or the mismatches of the scalar kernel. */
+uint32_t harness_load(qj_pilot *pilot, const int32_t *words, uint32_t bytes) {
   const char *const wrong = qj_pilot_load(pilot, words, bytes, &interface);
   const qj_error error = qj_load(&pilot->policy, &pilot->race, words, bytes);
-  pilot->policy.kernel = (kernel != 0U) ? QJ_NEON : QJ_SCALAR;
+  pilot->policy.kernel = QJ_SCALAR;
   if (error != QJ_OK) {
     return (uint32_t)error;
   }
@@ -55,15 +52,6 @@ void harness_sample(const qj_pilot *pilot, const int32_t *q, uint32_t counter, i
   }
 }
 #endif
-
-/* One inference from an own observation. */
-void harness_infer(const qj_pilot *pilot, const float *x, float *out) {
-  int32_t q[QJ_MAX_WIDTH];
-  int32_t command[QJ_COMMANDS];
-  (void)qj_quantize(&pilot->policy, x, q);
-  qj_forward(&pilot->policy, q, command, 0);
-  qj_commands(&pilot->policy, command, out);
-}
 
 /* Row: inputs, clipped, NaN, outside. The states are those of one flight. */
 void harness_observe(qj_pilot *pilot, const float *states, const uint32_t *targets, int32_t *out,
@@ -109,10 +97,4 @@ void harness_battery(qj_pilot *pilot, const float *samples, float *out, uint32_t
     samples += 8;
     ++out;
   }
-}
-
-/* A step on board. */
-void harness_step(qj_pilot *pilot, const qj_vehicle *vehicle, float *out) {
-  pilot->racing = 0U; /* so that every call is a step */
-  (void)qj_pilot_step(pilot, vehicle->time_us, vehicle, out);
 }

@@ -5,8 +5,7 @@
 static qj_pilot pilot;
 
 const char *firmware_start(void) {
-  static const qj_interface interface = {INTERFACE_GIVES, INTERFACE_KINDS, INTERFACE_CALL_NS,
-                                         INTERFACE_EVERY_CALL};
+  static const qj_interface interface = {INTERFACE_GIVES, INTERFACE_KINDS, INTERFACE_CALL_NS};
   return qj_pilot_load(&pilot, quadjax_words, sizeof(quadjax_words), &interface);
 }
 

@@ -23,7 +23,7 @@ static uint32_t now_us;
 const char *nn_load(void) {
   static const qj_interface interface = {
       QJ_GIVES(QJ_EULER) | QJ_GIVES(QJ_QUATERNION) | QJ_GIVES(QJ_ROTOR_SPEED), QJ_GIVES(QJ_MOTOR),
-      NN_CALL_NS, 1U};
+      NN_CALL_NS};
   wrong = qj_pilot_load(&pilot, QUADJAX_WORDS, sizeof(QUADJAX_WORDS), &interface);
   tried = 1U;
   return wrong;

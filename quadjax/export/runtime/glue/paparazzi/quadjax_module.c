@@ -101,7 +101,7 @@ void quadjax_module_init(void) {
   const qj_interface interface = {
       QJ_GIVES(QJ_EULER) | QJ_GIVES(QJ_QUATERNION) | QJ_GIVES(QJ_ROTOR_RPM) | QJ_GIVES(QJ_THRUST) |
           QJ_GIVES_SENSORS,
-      QJ_GIVES(QJ_RPM) | QJ_GIVES(QJ_RATES_THRUST), 1000000000U / QUADJAX_FREQUENCY, 1U};
+      QJ_GIVES(QJ_RPM) | QJ_GIVES(QJ_RATES_THRUST), 1000000000U / QUADJAX_FREQUENCY};
   flying = false;
   wrong = qj_pilot_load(&pilot, QUADJAX_WORDS, sizeof(QUADJAX_WORDS), &interface);
 #if QJ_HAS_NEON
