@@ -38,7 +38,6 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "reference/observation.md": observation_page,
         "reference/log_formats.md": log_formats_page,
         "reference/commands.md": commands_page,
-        "reference/sil_messages.md": messages_page,
     }
     for path, page in pages.items():
         files.append(File.generated(config, path, content=page()))
@@ -225,46 +224,6 @@ def _table(keys: list[KeyInfo]) -> str:
         default = to_yaml({"key": info.default}).strip().removeprefix("key: ")
         rows.append((f"`{info.key}`", f"`{default}`", info.allowed, info.description))
     return table(rows) + "\n"
-
-
-def messages_page() -> str:
-    """The messages of software in the loop, from their tables, and the C header."""
-    from quadjax.sil import message
-    from quadjax.sil.source import header_text
-
-    types = {"S1": "char", "<u2": "uint16", "<u4": "uint32", "<f4": "float32", "<f8": "float64"}
-    parts = ["# Software-in-the-loop messages", INTRODUCTION]
-    structs = [("Header", None, message.HEADER_FIELDS)]
-    structs += [(kind.name.capitalize(), kind, fields) for kind, fields in message.PAYLOADS.items()]
-    for name, kind, fields in structs:
-        offsets = (message.HEADER if kind is None else message.DTYPES[kind]).fields
-        rows = [["byte", "field", "type", "contents"]]
-        for field, kind_of, count, note in fields:
-            size = f" x {count}" if count > 1 else ""
-            rows.append([str(offsets[field][1]), f"`{field}`", types[kind_of] + size, note])
-        text = table(rows) if fields else "The header alone."
-        parts += [f"## {name}", text]
-    kinds = [[str(int(kind)), kind.name.lower()] for kind in message.CommandKind]
-    parts += ["## Kinds of commands", table([["command_kind", "the four numbers"], *kinds])]
-    parts += ["## C header", f"```c\n{header_text().strip()}\n```"]
-    return "\n\n".join(parts) + "\n"
-
-
-INTRODUCTION = """\
-Format `quadjax-sil/1`: one UDP datagram is one message, a header and a payload of fixed size,
-little-endian, without padding. Bytes count from the start of the message. A name ends with its
-unit: m, m/s, rad, rad/s, m/s² and N m. `ned` is north-east-down (world), `frd` forward-right-down
-(body). Motors and rotors are front-left, front-right, rear-right, rear-left.
-
-The autopilot sends a hello to the drone's address. The drone then sends a state at every control
-step, and the autopilot a command with the `run`, `sequence` and `time_s` of that state. A message
-with another magic, version, kind, length or checksum is rejected and counted. So is one that is not
-newer than the last one. A hello of another version, or with another `command_kind` than the drone
-takes, ends `quadjax sil` with one line. The drone sends an end after the last state; an autopilot
-may send one to leave.
-
-The C header below is also written to the folder of every flight (`message.h`). The Python form is
-`quadjax.sil_message` (NumPy and the standard library only): `new`, `pack`, `unpack`."""
 
 
 def commands_page() -> str:

@@ -1,50 +1,45 @@
-"""Connect another autopilot: a short controller takes the drone through the gates of one lap."""
+"""Connect another autopilot to exported C, and carry the drone by hand through the first gate."""
 
-import socket
+import ctypes
 import subprocess
-import sys
-import time
+from pathlib import Path
 
 import numpy as np
 
-from quadjax import sil_message as sil
+import quadjax
 
-HOST, PORT = "127.0.0.1", 40_000 + time.time_ns() % 20_000
-
-
-def control(state):  # returns body rates, rad/s, and specific thrust, m/s^2
-    yaw = state["gate_yaw_rad"]
-    ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])  # the line through the next gate
-    place = state["position_ned_m"] - state["gate_position_ned_m"]
-    aside = place - ahead * (place @ ahead)  # off this line
-    late = place @ ahead > -0.7 and aside @ aside > 0.1  # too close to reach the opening
-    wanted = ahead * (-1.0 if late else 3.5 / (1.0 + aside @ aside)) - 2.5 * aside
-    force = np.clip(3.0 * (wanted - state["velocity_ned_m_s"]), -7.0, 7.0) - [0.0, 0.0, 9.81]
-    w, *vector = state["quaternion_wxyz"]
-    down = -force / (thrust := np.linalg.norm(force))
-    down = down + 2.0 * np.cross(vector, np.cross(vector, down) - w * down)  # world to body
-    return [-8.0 * down[1], 8.0 * down[0], np.sin(yaw - state["attitude_rpy_rad"][2]), thrust]
+GLUE = Path(__file__).with_name("09_autopilot.c")
+VECTORS = {"position": 3, "velocity": 3, "rates": 3, "quaternion": 4, "thrust": 1}  # float32
+ESTIMATE = [("time_us", "<u4"), *((name, "<f4", size) for name, size in VECTORS.items())]
 
 
 def main():
-    command = f"-m quadjax sil indi --laps 1 --listen {HOST}:{PORT}"
-    drone = subprocess.Popen([sys.executable, *command.split()])
-    autopilot = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    autopilot.connect((HOST, PORT))
-    message = sil.new(sil.Kind.HELLO)
-    while drone.poll() is None:
-        try:
-            message["command_kind"] = sil.CommandKind.RATES_RAD_S_AND_THRUST_M_S2
-            autopilot.send(sil.pack(message))
-            state = sil.unpack(autopilot.recv(4096))
-            if state["kind"] == sil.Kind.END:
-                break
-            message = sil.new(sil.Kind.COMMAND, state["run"], state["sequence"], state["time_s"])
-            message["command"] = control(state)
-        except ConnectionRefusedError:  # the drone is not ready
-            time.sleep(0.5)
-    return drone.wait()
+    policy = quadjax.Policy.load("indi")
+    options = {"name": "racer", "target": "cortex-m7", "overwrite": True}
+    folder = quadjax.export_c(policy, "indi_in_c", **options).folder / "c"
+    files = [GLUE, *sorted(folder.glob("qj_*.c"))]
+    flags = ["-O2", "-shared", "-fPIC", f"-I{folder}", "-lm", "-o", "autopilot.so"]
+    subprocess.run(["cc", *files, *flags], check=True)
+    autopilot = ctypes.CDLL(str(Path("autopilot.so").resolve()))
+    autopilot.policy_setup.restype = ctypes.c_char_p
+    if wrong := autopilot.policy_setup():
+        raise SystemExit(f"the policy cannot fly: {wrong.decode()}")
+    gate = quadjax.load("indi").track.gates[0]
+    yaw = np.deg2rad(gate.yaw_deg)
+    ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    estimate, command = np.zeros((), ESTIMATE), np.zeros(4, np.float32)
+    estimate["quaternion"] = [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
+    estimate["velocity"], estimate["thrust"] = ahead, 9.81
+    places = [ctypes.c_void_p(array.ctypes.data) for array in (estimate, command)]
+    for loop in range(1000):  # of 500 Hz: from 1 m before the gate to 1 m behind it
+        estimate["time_us"] = 2000 * loop
+        estimate["position"] = np.array(gate.position) + (loop / 500.0 - 1.0) * ahead
+        autopilot.policy_loop(2000 * loop, places[0], 1, places[1])
+        if loop % 250 == 0:
+            rates = ", ".join(f"{rate:.2f}" for rate in command[:3])
+            print(f"target gate {autopilot.policy_target_gate()}: rates {rates} rad/s, "
+                  f"thrust {command[3]:.1f} m/s^2")  # fmt: skip
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

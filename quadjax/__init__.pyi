@@ -36,7 +36,6 @@ from quadjax.policy.file import Policy as Policy
 from quadjax.race.layout import Field as Field
 from quadjax.race.layout import Layout as Layout
 from quadjax.race.types import Step as Step
-from quadjax.sil import message as sil_message
 from quadjax.training.fine_tuning import fine_tuning as fine_tuning
 from quadjax.training.result import Run as Run
 from quadjax.training.run import train as train

@@ -27,8 +27,7 @@ ALLOWED = {
     "replay": CONFIG - {"learners"}
     | {"config", "policy", "flights", "evaluation", "export", "log_states", "predictions"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant"},
-    "sil": CONFIG - {"learners"}
-    | {"config", "policy", "training", "evaluation", "plant", "export", "flights"},
+    "sil": CONFIG - {"learners"} | {"config", "policy", "evaluation", "plant", "export", "flights"},
 }
 
 

@@ -34,7 +34,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "compare": "compare E2E with INDI, in simulation and on the plant",
     "export": "convert a policy to fixed-point C",
     "verify": "build, run and check exported C",
-    "sil": "fly exported C, or your own autopilot, on a simulated drone",
+    "sil": "fly exported C on a simulated drone",
     "import": "convert a network of another project to a policy or residual file",
     "logs": "write flight logs of the stand-in plant or of a known model",
     "show": "list what comes with the package, or print one of it",

@@ -21,20 +21,10 @@ if TYPE_CHECKING:
     from quadjax.sil.run import Flown
 
 STOPPING = b"\nstopping: a flight that has begun is saved; Ctrl-C again ends without saving\n"
-FAULTS = Group("Faults, of messages in either direction", sort_key=2)
+FAULTS = Group("Faults, of states and commands", sort_key=2)
 UNITS = tuple(WRONG_UNITS)
 OF_NAN = f"FIELD=P with P of 0 to 1 and FIELD one of {', '.join(FIELDS)}"
 Nan = Annotated[str, opt.named_number(OF_NAN, lambda p: 0.0 <= p <= 1.0, tuple(FIELDS))]
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isascii() or not port.isdigit() or not int(port[:9]) < 65536:
-        raise ValueError(f"{text!r:.60}, allowed: HOST:PORT with a port of 0 to 65535")
-    return host, int(port)
-
-
-Address = Annotated[tuple[str, int], opt.reads(_address, metavar="HOST:PORT", n_tokens=1)]
 Probability = Annotated[float, opt.number(0.0, 1.0, metavar="P", group=FAULTS)]
 
 
@@ -43,19 +33,15 @@ def sil(
     /,
     *overrides: opt.Overrides,
     target: Target = DEFAULT_TARGET,
-    listen: Address | None = None,
     race: opt.Race = None,
     plant: opt.PlantConfig = "standin",
     simulator: opt.Flag = False,
-    speed: Annotated[float | None, opt.number(0.01, 1000.0, metavar="X")] = None,
     laps: opt.Laps | None = None,
     runs: opt.Runs = 1,
     seed: opt.Seed = 0,
-    timeout: Annotated[float, opt.number(0.001, 3600.0, metavar="S")] = 5.0,
     drop: Probability = 0.0,
     late: Probability = 0.0,
     delay: Annotated[float, opt.number(0.0, 10_000.0, metavar="MS", group=FAULTS)] = 20.0,
-    damage: Probability = 0.0,
     nan: Annotated[tuple[Nan, ...] | None, Parameter(metavar="FIELD=P", group=FAULTS)] = None,
     wrong_unit: Annotated[list[str] | None, Parameter(choices=UNITS, group=FAULTS)] = None,
     view: opt.Flag = False,
@@ -66,44 +52,35 @@ def sil(
     """Fly exported C on a simulated drone: software in the loop.
 
     The C of DIR, a folder of quadjax export, or that of a policy is compiled for
-    this machine and runs as a separate process: the glue of the target's autopilot,
-    in a stand-in for its firmware. States go to it and commands come back over a
-    socket. With --listen, your own autopilot connects instead; DIR may then also be
-    a preset or a YAML file, whose race is flown. The drone is the stand-in plant,
-    whose config key=value overrides change, or with --simulator the simulator that
-    policies are trained in, the only one for the models racing and a2rl.
-    OUTPUT/NAME gets states.npz (for quadjax view and quadjax evaluate --flights),
-    sil.json, table.txt and message.h, the messages for C.
+    this machine: the glue of the target's autopilot, in a stand-in for its
+    firmware. It gets the drone's state at every control step, and returns the
+    command. The drone is the stand-in plant, whose config key=value overrides
+    change, or with --simulator the simulator that policies are trained in, the only
+    one for the models racing and a2rl. OUTPUT/NAME gets states.npz (for quadjax
+    view and quadjax evaluate --flights), sil.json and table.txt.
 
     Example: quadjax sil e2e --late 0.2 --delay 20
 
     Args:
         source: Folder of quadjax export, NAME.qjp in it, a policy file, or a shipped policy's
-            name; with --listen also a config.
+            name.
         target: Processor and autopilot of a policy; that of DIR for a folder.
-        listen: Wait there for your own autopilot, at most 120 s.
         race: Config of the race (default: config.yaml of DIR, or that of the policy).
         simulator: Fly in the simulator of the training.
-        speed: Speed as a multiple of real time (default: wait for every command and run as
-            fast as possible).
         laps: Laps of a run (default: evaluate.laps).
         runs: Number of runs.
         seed: Seed of drones and faults.
-        timeout: Seconds without an answer.
-        drop: Messages that are dropped.
-        late: Messages that are late.
-        delay: Delay of late messages, ms.
-        damage: Messages with one bit flipped.
+        drop: States and commands that are lost.
+        late: States and commands that are late.
+        delay: Delay of late ones, ms.
         nan: A number of a state's field is NaN; may be repeated.
         wrong_unit: Unit of a state's field; may be repeated.
         view: Show the flight in the browser.
     """
-    name_of_source, source = source, source if listen else _source_of(source)
+    name_of_source, source = source, _source_of(source)
     opt.exclude("plant", "simulator")
-    if source.is_dir() or listen:
-        opt.refuse("with the folder of an export, or --listen", "target")
-    if listen and not source.is_dir():
-        opt.refuse(f"with {source}, which is a race itself", "race")
+    if source.is_dir():
+        opt.refuse("with the folder of an export", "target")
     if not late:
         opt.refuse("without --late", "delay")
     if simulator and overrides:
@@ -111,13 +88,11 @@ def sil(
     nans, units = opt.by_name("--nan", nan), tuple(wrong_unit or ())
     with loading():
         from quadjax.plant.config import load_plant_config
-        from quadjax.sil.fly import Timing
         from quadjax.sil.run import FILES, Setting, fly_all
 
-    faults = Faults(drop, late, delay / 1000.0, damage, nans, units)
+    faults = Faults(drop, late, delay / 1000.0, nans, units)
     drone = None if simulator else load_plant_config(plant, overrides)
-    timing = Timing(speed, timeout)
-    setting = Setting(source, drone, listen, laps, runs, seed, timing, faults, race, target)
+    setting = Setting(source, drone, laps, runs, seed, faults, race, target)
     folder = output / name
     with (
         results(folder, "flight", FILES, overwrite) as new,
@@ -137,13 +112,11 @@ def _shown(flown: "Flown", folder: Path, view: bool, source: str) -> int:
     from quadjax.sil.run import STATES_FILE
 
     setting, last = flown.setting, flown.races[-1]
-    if last.gone is not None:
-        raise last.gone
     if view and len(last.flight.time):
         show(str(folder / STATES_FILE), output=folder / "flight.html", open_=True)
     else:
         print(f"Next: quadjax view {folder / STATES_FILE}")
-    if setting.listen is None and not any(flown.laps.crashes):
+    if not any(flown.laps.crashes):
         export = f"quadjax export {source} --target {setting.target} --output out"
         copy = f"copy the C of {setting.source} to the autopilot"
         print(f"Then: {export if setting.source.is_file() else copy}")
@@ -171,5 +144,5 @@ def _source_of(source: Path) -> Path:
         return source
     raise InputError(
         f"{source}: neither a folder of quadjax export nor a policy, allowed also: "
-        f"{', '.join(policy_names())}; your own autopilot needs --listen HOST:PORT"
+        f"{', '.join(policy_names())}"
     )

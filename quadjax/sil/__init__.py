@@ -1,1 +1,1 @@
-"""Software in the loop: exported C, or a user's autopilot, flies a simulated drone by messages."""
+"""Software in the loop: exported C flies a simulated drone."""

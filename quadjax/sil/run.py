@@ -1,18 +1,16 @@
-"""Races of an autopilot on a simulated drone, from a folder of C or a config to files."""
+"""Races of exported C on a simulated drone, from a folder of C or a policy to files."""
 
-import contextlib
 import dataclasses
 import tempfile
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quadjax.config.assembly import race_of
-from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
@@ -29,34 +27,21 @@ from quadjax.export.targets import DEFAULT_TARGET
 from quadjax.export.verify.build import Sources
 from quadjax.flights.files import save
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.flights import plan_race, race_config
+from quadjax.plant.flights import plan_race
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import fit_race
 from quadjax.race.laps import Laps
 from quadjax.sil.faults import Faults
-from quadjax.sil.fly import Race, Timing, fly
-from quadjax.sil.peer import (
-    ADDRESS,
-    CONNECT_SECONDS,
-    START_SECONDS,
-    Peer,
-    greeted,
-    listening,
-    running,
-)
-from quadjax.sil.source import at_rate, build, check_byte_order, header_text, label_of
-from quadjax.sil.worlds import World, command_kind, plant_world, simulator_world
-from quadjax.training.build import untrained_policy
+from quadjax.sil.fly import Race, fly
+from quadjax.sil.source import ExportedC, at_rate
+from quadjax.sil.worlds import World, plant_world, simulator_world
 
 ON_PLANT = ("motor", "rate")  # vehicle models that the stand-in plant has
 STATES_FILE = "states.npz"
-FILES = (STATES_FILE, "sil.json", "table.txt", "message.h", "flight.html")
+FILES = (STATES_FILE, "sil.json", "table.txt", "flight.html")
 NOTHING = Rollouts(*(np.zeros((0, 1)),) * 3)
 MEANINGS = {  # of counts
-    "held steps": " (no command came in time: the drone held the last one)",
-    "late steps": " (the autopilot had not answered by the end of the period; --speed is too high, "
-    "or the autopilot too slow)",
-    "slow steps": " (began more than a period late: this machine is too slow for --speed)",
+    "held steps": " (no command came: the drone held the last one)",
     "autopilot: nan steps": " (a number of the state was NaN: the C takes zero)",
     "autopilot: clipped steps": " (a number of the state was outside the range that NAME.h "
     "declares: the C takes the end of the range)",
@@ -69,15 +54,11 @@ MEANINGS = {  # of counts
 class Setting:
     """What flies, on what, and how."""
 
-    # folder of ``quadjax export``, or a policy file; with ``listen`` a folder or a config
-    source: Path
+    source: Path  # folder of ``quadjax export``, or a policy file
     plant: PlantConfig | None  # the stand-in plant; None: the simulator of the race
-    # address at which a user's autopilot connects; None: the exported C is started
-    listen: tuple[str, int] | None = None
     laps: int | None = None  # of a race; ``evaluate.laps`` of the config if not given
     runs: int = 1  # number of races, one after the other
     seed: int = 0  # of drones and faults; a race has the seed plus its number
-    timing: Timing = Timing()  # lock-step, or a speed
     faults: Faults = Faults()  # of the link
     # config of the race, named by the user; that of the folder or policy if not given
     race: Path | str | None = None
@@ -92,7 +73,7 @@ class Flown:
     config: Config
     drone: str  # its name and control rate
     autopilot: str
-    sources: str  # the C that flies; empty for an autopilot of the user
+    sources: str  # the C that flies
     races: list[Race]
 
     @property
@@ -107,25 +88,23 @@ class Flown:
 
     def text(self) -> str:
         """The lap table, the reasons for early ends, and the counts with their meanings."""
-        speed, counts = self.setting.timing.speed, self.counts
-        how = "lock-step" if speed is None else f"{speed:g} times real time"
+        counts = self.counts
         label = f"{self.autopilot}, {counted(len(self.races), 'run')}"
         lines = [
             lap_table([Row(label, self.laps)]).format(),
-            f"C that flies: {self.sources}" if self.sources else "",
-            f"drone: {self.drone}, {how}, {counts.pop('steps', 0):,} steps",
+            f"C that flies: {self.sources}",
+            f"drone: {self.drone}, {counts.pop('steps', 0):,} steps",
             *(f"{name}: {number:,}{MEANINGS.get(name, '')}" for name, number in counts.items()),
         ]
-        return "\n".join(line for line in lines if line)
+        return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
         """Laps as of ``quadjax evaluate``, counts, and provenance."""
         setting = self.setting
         return self.laps.to_json() | {
             "autopilot": self.autopilot,
-            "sources": self.sources or None,
+            "sources": self.sources,
             "drone": self.drone,
-            "speed": setting.timing.speed,
             "counts": self.counts,
             "faults": dataclasses.asdict(setting.faults) if setting.faults else None,
             "provenance": provenance(self.config, seed=setting.seed),
@@ -133,13 +112,12 @@ class Flown:
         }
 
     def write(self, folder: Path) -> None:
-        """Write ``FILES`` but for the page: states, numbers, table, header of the messages."""
+        """Write ``FILES`` but for the page: states, numbers, table."""
         flights, record = [race.flight for race in self.races], self.to_json()
         if any(len(flight.time) for flight in flights):
             save(flights, folder / STATES_FILE, **record)
         write_json(folder / "sil.json", record)
         write_text(folder / "table.txt", self.text() + "\n")
-        write_text(folder / "message.h", header_text())
 
 
 def make_world(config: Config, policy: Policy, plant: PlantConfig | None, laps: int) -> World:
@@ -148,12 +126,10 @@ def make_world(config: Config, policy: Policy, plant: PlantConfig | None, laps: 
     On the stand-in plant, or, without one, in the simulator of the race.
 
     Raises:
-        InputError: a vehicle model that the plant lacks, or that has no messages.
+        InputError: a vehicle model that the plant lacks.
     """
     if plant is None:
-        choices, params = fit_race(*race_of(config), policy)
-        command_kind(choices.model)
-        return simulator_world(choices, params, laps)
+        return simulator_world(*fit_race(*race_of(config), policy), laps)
     if policy.vehicle not in ON_PLANT:
         raise InputError(
             f"the stand-in plant has no vehicle model {policy.vehicle!r}, allowed: "
@@ -168,11 +144,9 @@ def fly_all(
     """Fly all races; ``stop`` ends the race under way, and the record so far is kept.
 
     Raises:
-        InputError: bad input, no compiler, a port that is taken, or an autopilot that does not
-            answer before its first race. One that is gone later is in the last race.
+        InputError: bad input, or no compiler.
         KeyboardInterrupt: stopped before the first step.
     """
-    check_byte_order()
     enable_compilation_cache()
     with tempfile.TemporaryDirectory() as work:
         return _fly_all(setting, Path(work), stop, report)
@@ -181,37 +155,33 @@ def fly_all(
 def _fly_all(
     setting: Setting, work: Path, stop: threading.Event, report: Callable[[str], None]
 ) -> Flown:
-    flying: tuple[Converted, Sources] | None = None
-    if setting.source.is_dir() or setting.listen is None:
-        converted = _converted(setting)
-        config, policy = converted.race.config, converted.policy
-        if setting.listen is None:
-            files = {name: data for name, data in converted.files().items() if "/" in name}
-            flying = converted, Sources.write(converted.target, files, work, converted.fixed)
-            plant = setting.plant and at_rate(setting.plant, flying[1])
-            setting = dataclasses.replace(setting, plant=plant)
-    else:  # the race of a config, with an untrained policy
-        config = load_config(setting.source)
-        policy = untrained_policy(config)
-        config = race_config(config, policy) if setting.plant else config
-    world = make_world(config, policy, setting.plant, setting.laps or config.evaluate.laps)
+    converted = _converted(setting)
+    files = {name: data for name, data in converted.files().items() if "/" in name}
+    sources = Sources.write(converted.target, files, work, converted.fixed)
+    plant = setting.plant and at_rate(setting.plant, sources)
+    setting, config = dataclasses.replace(setting, plant=plant), converted.race.config
+    laps = setting.laps or config.evaluate.laps
+    world = make_world(config, converted.policy, plant, laps)
+    report("building the C")
+    autopilot = ExportedC(converted, sources, 1.0 / world.step)
+    report("compiling")
+    world.advance(world.begin(0), world.ranges()[0].astype(np.float32))
     races: list[Race] = []
-    with _autopilot(setting, flying, world, stop, report) as (peer, autopilot, names):
-        for run in range(setting.runs):
-            text = f"run {run + 1} of {setting.runs}"
-            report(text)
+    for run in range(setting.runs):
+        text = f"run {run + 1} of {setting.runs}"
+        report(text)
 
-            def say(seconds: float, text: str = text) -> None:
-                report(f"{text}: {seconds:.0f} s flown")
+        def say(seconds: float, text: str = text) -> None:
+            report(f"{text}: {seconds:.0f} s flown")
 
-            how = (setting.faults, setting.timing, setting.seed, run, stop, say)
-            races.append(fly(world, peer, *how, config.track.gates))
-            if stop.is_set() or races[-1].gone:
-                break
+        how = (setting.faults, setting.seed + run, stop, say)
+        races.append(fly(world, autopilot, *how, config.track.gates, f"run {run + 1}"))
+        if stop.is_set():
+            break
     if stop.is_set() and not len(races[0].flight.time):
         raise KeyboardInterrupt
     drone = f"{world.name}, {1.0 / world.step:g} Hz"
-    return Flown(setting, config, drone, autopilot, names, races)
+    return Flown(setting, config, drone, autopilot.label, autopilot.files, races)
 
 
 def _converted(setting: Setting) -> Converted:
@@ -221,36 +191,3 @@ def _converted(setting: Setting) -> Converted:
     name, named = symbol_name(None, setting.source.name), setting.race is not None
     options = Options(name, target=setting.target, allow_other_race=named)
     return convert_file(setting.source, options, setting.race, rollouts=NOTHING)
-
-
-@contextlib.contextmanager
-def _autopilot(
-    setting: Setting,
-    flying: tuple[Converted, Sources] | None,
-    world: World,
-    stop: threading.Event,
-    report: Callable[[str], None],
-) -> Iterator[tuple[Peer, str, str]]:
-    """The autopilot of a setting, connected; its name, and the C files that fly."""
-    kind = command_kind(world.model)
-
-    def compile_drone() -> None:  # before an autopilot waits for it
-        report("compiling")
-        world.advance(world.begin(0), world.ranges()[0].astype(np.float32))
-
-    with contextlib.ExitStack() as stack:
-        server = stack.enter_context(listening(*(setting.listen or (ADDRESS, 0))))
-        host, port = server.getsockname()
-        if flying is None:
-            compile_drone()
-            report(f"waiting for an autopilot at {host}:{port}")
-            peer = stack.enter_context(greeted(server, kind, CONNECT_SECONDS, stop))
-            yield peer, "your autopilot", ""
-            return
-        report("building the C")
-        program, names = build(*flying, 1.0 / world.step)
-        label = label_of(program, flying[0])
-        compile_drone()
-        stack.enter_context(running(program, port))
-        peer = stack.enter_context(greeted(server, kind, START_SECONDS, stop))
-        yield peer, label, names

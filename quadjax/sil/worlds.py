@@ -1,4 +1,4 @@
-"""The drones that an autopilot can fly: the stand-in plant, or the simulator of the race.
+"""The drones that exported C can fly: the stand-in plant, or the simulator of the race.
 
 A world is pure functions of a state: its start, and a control step under a command that is held.
 Both also give what the autopilot observes, and the true motion for the record.
@@ -14,39 +14,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core import quaternion
-from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
+from quadjax.export.verify.build import VEHICLE
 from quadjax.plant import flight, plant
 from quadjax.plant.flight import Drones, Plan
 from quadjax.policy.pilot import command_ranges
 from quadjax.race import environment, laps
 from quadjax.race.laps import Laps, LapState
-from quadjax.race.track import Track
 from quadjax.race.types import Choices, RaceParams
-from quadjax.sil.message import RPM_PER_RAD_S, CommandKind
+from quadjax.sil.faults import RPM_PER_RAD_S
 from quadjax.vehicle.protocol import Measurement, VehicleModel
 
-KINDS = {  # of the vehicle models' commands
-    "motor": CommandKind.ROTOR_SPEEDS_RAD_S,
-    "rate": CommandKind.RATES_RAD_S_AND_THRUST_M_S2,
-    "racing": CommandKind.MOTORS_0_TO_1,
-    "a2rl": CommandKind.MOTORS_0_TO_1,
-}
+SET_BY_C = ("time_us", "rpm", "others_command")  # of ``VEHICLE``, in sil.c
+MEASURED = [name for name in VEHICLE.names or () if name not in SET_BY_C]
 Seen = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # what ``Now`` has after the state
 Motion = tuple[Vec3, Vec3, Vec3, Vec3]  # position, velocity, Euler angles, rates
-
-
-def command_kind(model: VehicleModel) -> CommandKind:
-    """The kind of a vehicle model's commands.
-
-    Raises:
-        InputError: a model whose commands have no message.
-    """
-    if model.name not in KINDS:
-        raise InputError(
-            f"vehicle model {model.name!r} has no messages, allowed: {', '.join(KINDS)}"
-        )
-    return KINDS[model.name]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,10 +36,20 @@ class Now:
     """A drone between two control steps."""
 
     state: Any  # pytree of the world
-    numbers: np.ndarray  # (n,) float32 of ``message.STATE_FIELDS``, without the target
+    numbers: np.ndarray  # (n,) float32 of ``MEASURED``
     target: np.ndarray | int  # () int32
     true: np.ndarray  # (12 + actuators,): position, velocity, Euler angles, rates, actuators
     over: np.ndarray | bool  # ()
+
+    @property
+    def vehicle(self) -> np.ndarray:
+        """What the autopilot observes, a ``VEHICLE`` ()."""
+        vehicle, start = np.zeros((), VEHICLE), 0
+        for name in MEASURED:
+            size = vehicle[name].size
+            vehicle[name] = self.numbers[start : start + size].reshape(vehicle[name].shape)
+            start += size
+        return vehicle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,7 +77,6 @@ class World:
 
 
 def _seen(
-    track: Track,
     target: jax.Array,
     over: jax.Array,
     motion: Motion,
@@ -95,13 +86,11 @@ def _seen(
     disturbance: tuple[Vec3, Vec3],
     true: Any,
 ) -> Seen:
-    """Numbers of a message from the estimated motion, and the true motion with the actuators."""
+    """Numbers of a state from the estimated motion, and the true motion with the actuators."""
     position, velocity, euler, rates = motion
-    center = jax.tree.map(lambda x: x[target], track.position)
     parts = (
-        *(position, velocity, measured.body_velocity, euler, quaternion.of_euler(euler), rates),
-        *(rotors, thrust, measured.gyro, measured.specific_force, *disturbance),
-        *(center, track.yaw[target]),
+        *(position, velocity, euler, quaternion.of_euler(euler), rates, rotors, thrust),
+        *(*disturbance, measured.gyro, measured.specific_force, measured.body_velocity),
     )
     numbers = jnp.stack([jnp.asarray(x, jnp.float32) for x in jax.tree.leaves(parts)])
     return numbers, target, jnp.stack(jax.tree.leaves(true)), over
@@ -163,7 +152,7 @@ def _see_plant(plan: Plan, drones: Drones) -> Seen:
     force = plant.truth_of(plan.plant, one.plant).specific_force
     actuators = -force.z if rate_level else body.actuators
     return _seen(
-        *(plan.race.track, one.race.state.target, one.race.over),
+        *(one.race.state.target, one.race.over),
         *((now.position, now.velocity, now.euler, now.rates), measured),
         _scaled(measured.rpm, 1.0 / RPM_PER_RAD_S),
         onboard.inner.thrust if rate_level else jnp.zeros(()),
@@ -229,7 +218,7 @@ def _see_simulator(choices: Choices, params: RaceParams, race: LapState) -> Seen
     unit = 1.0 / RPM_PER_RAD_S if model.actuators.unit == "rpm" else 1.0
     motion = (drone.position, drone.velocity, drone.angles, drone.rates)
     return _seen(
-        *(params.track, one.state.target, one.over),
+        *(one.state.target, one.over),
         *(motion, model.measure(params.vehicle, drone)),
         _scaled(actuators, unit) if has_rotors else Rotors.same(zero),
         zero if has_rotors else actuators,

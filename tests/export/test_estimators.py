@@ -17,14 +17,14 @@ from quadjax.export.network import convert
 from quadjax.export.race_source import policy_race
 from quadjax.export.verify import measurements
 from quadjax.race import environment
-from quadjax.sil.message import RPM_PER_RAD_S
+from quadjax.sil.faults import RPM_PER_RAD_S
 from quadjax.sil.run import make_world
 from quadjax.vehicle.battery import limit_estimator, middle_limit
 from quadjax.vehicle.protocol import VehicleParams
 from tests import reference as ref
 from tests.convert import residual_of
 from tests.export.support import converted_in, fixed_policy, library, made
-from tests.sil.test_exported import command_of, loaded
+from tests.sil.test_exported import loaded
 
 
 def constants():
@@ -149,12 +149,12 @@ def test_the_c_on_board_observes_what_the_simulator_does(tmp_path):
     policy, own = reacting()
     converted = converted_in(tmp_path, policy, own, "cortex-m7", 100.0)
     world = make_world(own.config, converted.policy, None, 1)
-    c, _ = loaded(tmp_path, converted, 100.0)
+    c = loaded(tmp_path, converted, 100.0)
     observe = jax.jit(functools.partial(environment.observe, world.choices))
     network = convert(policy, {"position": 32.0})
     now, apart, limits = begun(world), [], []
     for number in range(150):
-        sent = np.float32(command_of(c, number / 100.0, now.numbers) * RPM_PER_RAD_S)
+        sent = np.float32(c.step(number / 100.0, now.vehicle) * RPM_PER_RAD_S)
         race = jax.tree.map(lambda x: x[..., 0], now.state.state)
         limits.append(float(race.battery.estimate.highest))
         seen = np.asarray(observe(world.params, race))[None]

@@ -1,22 +1,16 @@
-"""A drone without physics, and autopilots in a thread."""
+"""A drone without physics, and an autopilot that is a Python function."""
 
-import contextlib
 import dataclasses
-import socket
-import threading
 
 import numpy as np
 
 from quadjax.race.laps import Laps
-from quadjax.sil.message import CommandKind, Kind, MessageError, new, pack, unpack
-from quadjax.sil.peer import ADDRESS, greeted, listening
 from quadjax.sil.run import make_world
 from quadjax.sil.worlds import Now, World
 from quadjax.vehicle import rate
 
 STEPS = 40
 SHORT = 150  # steps
-RATES = CommandKind.RATES_RAD_S_AND_THRUST_M_S2
 
 
 def short_world(*arguments) -> World:
@@ -44,7 +38,7 @@ class Counting:
         return self.at(now.state + 1)
 
     def at(self, number):
-        numbers = np.arange(40, dtype=np.float32) + number
+        numbers = np.arange(36, dtype=np.float32) + number
         return Now(number, numbers, number % 4, np.full(13, float(number)), number >= STEPS)
 
     def result(self, now):
@@ -53,44 +47,20 @@ class Counting:
         return Laps(laps, ("" if done else "out of time",), np.array([now.state * self.step]), 10.0)
 
 
-def answer(state, **changes):
-    """Rates that tell the step, and a thrust; fields of the message may be changed."""
-    command = new(Kind.COMMAND, int(state["run"]), int(state["sequence"]), float(state["time_s"]))
-    command["command_kind"] = RATES
-    command["command"] = [float(state["sequence"]) / 100.0, 0.0, 0.0, 9.0]
-    for name, value in changes.items():
-        command[name] = value
-    return pack(command)
+class Autopilot:
+    """In place of the C: a command that tells the step of the state, with a thrust."""
 
+    label, files = "a function", ""
 
-def hello(kind=RATES, mismatches=0):
-    message = new(Kind.HELLO)
-    message["command_kind"], message["self_test_mismatches"] = kind, mismatches
-    return pack(message)
+    def __init__(self, reply=lambda number: (number / 100.0, 0.0, 0.0, 9.0)):
+        self._reply = reply
 
+    def begin(self):
+        self.seen = []  # steps of the states, by their times and by their positions
 
-def autopilot(port, reply, first):
-    """Answer states by ``reply(state) -> messages`` until the end."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link, contextlib.suppress(OSError):
-        link.settimeout(20.0)
-        link.connect((ADDRESS, port))
-        link.send(first)
-        while True:
-            with contextlib.suppress(MessageError):
-                state = unpack(link.recv(4096))
-                if state["kind"] != Kind.STATE:
-                    return
-                for data in reply(state):
-                    link.send(data)
+    def step(self, time, state):
+        self.seen.append((round(time / Counting.step), int(state["position"][0])))
+        return np.float32(self._reply(self.seen[-1][0]))
 
-
-@contextlib.contextmanager
-def connected(reply, first, stop):
-    """A peer whose autopilot runs in a thread."""
-    with listening(ADDRESS, 0) as link:
-        address = link.getsockname()[1]
-        thread = threading.Thread(target=autopilot, args=(address, reply, first), daemon=True)
-        thread.start()
-        with greeted(link, RATES, 20.0, stop) as peer:
-            yield peer
-        thread.join(20.0)
+    def counts(self):
+        return {"nan steps": 0, "clipped steps": len(self.seen)}

@@ -1,4 +1,4 @@
-"""Exported C as a process: the bits of the same C in this process, and the command's files."""
+"""Exported C on a simulated drone: its bits, its calls, and the files of the command."""
 
 import contextlib
 import ctypes
@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 import threading
-from collections import Counter
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,29 +17,27 @@ from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.export.race_source import policy_race
 from quadjax.export.verify import toolchain
-from quadjax.export.verify.build import Sources, pointers
+from quadjax.export.verify.build import VEHICLE, Sources
 from quadjax.flights import load
 from quadjax.flights.flight import SIMULATED
 from quadjax.plant.config import load_plant_config
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 from quadjax.sil import run as sil
-from quadjax.sil.fly import set_floats
-from quadjax.sil.message import DTYPES, HEADER, RPM_PER_RAD_S, Kind, new
+from quadjax.sil.faults import RPM_PER_RAD_S
 from quadjax.sil.run import Setting, fly_all, make_world
-from quadjax.sil.source import at_rate, build, label_of
+from quadjax.sil.source import ExportedC, at_rate
+from quadjax.sil.worlds import MEASURED
 from tests.commands import run
 from tests.export.support import converted_in, made
-from tests.sil.support import Counting, short_world
-
-SIZE = (DTYPES[Kind.STATE].itemsize - HEADER.itemsize) // 4 - 2  # floats of a state
+from tests.sil.support import Autopilot, Counting, short_world
 
 
 @pytest.mark.parametrize("crash", ["", "ground"])
 @pytest.mark.parametrize(("file", "step"), [("", "copy the C"), ("p.npz", "quadjax export e2e")])
 def test_c_of_which_a_flight_crashed_is_not_to_be_used(file, step, crash, tmp_path, capsys):
     (tmp_path / "p.npz").touch()
-    race = SimpleNamespace(flight=SimpleNamespace(time=[0.0], crash=""), gone=None)
+    race = SimpleNamespace(flight=SimpleNamespace(time=[0.0], crash=""))
     laps = SimpleNamespace(crashes=(crash, ""))  # the last of two flights completes its laps
     flown = SimpleNamespace(setting=Setting(tmp_path / file, None), races=[race], laps=laps)
     assert command._shown(flown, tmp_path, False, "e2e") == 0
@@ -60,37 +57,35 @@ def in_the_simulator(folder):
     return converted_in(folder, *made("published racing"), "indiflight"), None
 
 
+def random_states(count):
+    """States of ``VEHICLE``, (1,) each."""
+    rng, states = np.random.default_rng(3), np.zeros(count, VEHICLE)
+    for name in MEASURED:
+        states[name] = rng.uniform(-1, 1, states[name].shape)
+    return np.split(states, count)
+
+
 def sources_of(converted, folder):
     files = {name: data for name, data in converted.files().items() if "/" in name}
     return Sources.write(converted.target, files, folder / "c", converted.fixed)
 
 
 def loaded(folder, converted, rate):
-    """The C behind the messages as a library, at the start of a race, and its sources."""
-    path, sources = build(converted, sources_of(converted, folder), rate, shared=True)
-    library = ctypes.CDLL(str(path))
-    assert library.sil_load() == 0
-    library.sil_begin()
-    return library, sources
+    """The C at the start of a race."""
+    autopilot = ExportedC(converted, sources_of(converted, folder), rate)
+    autopilot.begin()
+    return autopilot
 
 
-def command_of(library, time_s, numbers):
-    """The command (4,) for the floats of a state."""
-    state, command = new(Kind.STATE, time_s=time_s), new(Kind.COMMAND)
-    set_floats(state, np.float32(numbers))
-    library.sil_step(*pointers(state, command))
-    return command["command"].copy()
-
-
-def flown_in_this_process(converted, plant, folder, steps):
-    """The motion and the commands (steps, ..) of the C called through ctypes, step by step."""
+def flown_by_hand(converted, plant, folder, steps):
+    """The motion and the commands (steps, ..) of the C called step by step."""
     plant = plant and at_rate(plant, sources_of(converted, folder))
     world = make_world(converted.race.config, converted.policy, plant, 1)
-    library, _ = loaded(folder, converted, 1.0 / world.step)
+    autopilot = loaded(folder, converted, 1.0 / world.step)
     factor = RPM_PER_RAD_S if world.model.name == "motor" else 1.0
     now, rows = world.begin(0), []
     for number in range(steps):
-        sent = command_of(library, number * world.step, now.numbers).astype(np.float64)
+        sent = autopilot.step(number * world.step, now.vehicle).astype(np.float64)
         wanted = np.float32(np.clip(sent * factor, *world.ranges()))
         rows.append(np.concatenate([now.true, wanted]))
         now = world.advance(now, wanted)
@@ -104,18 +99,16 @@ def short_races(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [on_the_plant, in_the_simulator])
-def test_lock_step_has_the_bits_of_the_same_c_in_this_process(
-    make, tmp_path, monkeypatch, short_races
-):
+def test_a_race_has_the_bits_of_the_c_called_by_hand(make, tmp_path, monkeypatch, short_races):
     converted, plant = make(tmp_path)
     monkeypatch.setattr(sil, "read_folder", lambda *_: converted)
     flown = fly_all(Setting(tmp_path, plant, laps=1), threading.Event())
     race = flown.races[0]
     rows = np.concatenate([race.flight[name] for name in SIMULATED], axis=1)
-    expected = flown_in_this_process(converted, plant, tmp_path, len(rows))
+    expected = flown_by_hand(converted, plant, tmp_path, len(rows))
     np.testing.assert_array_equal(rows, expected)
     assert set(race.counts) <= {"steps", "autopilot: clipped steps", "autopilot: outside steps"}
-    assert {"held steps", "late steps", "slow steps"} < set(sil.MEANINGS)
+    assert set(race.counts) - {"steps"} < set(sil.MEANINGS)
     of_plant = make is on_the_plant
     assert ("its own estimator" in flown.autopilot) == of_plant and len(rows) > 20
     assert ("512 Hz" in flown.drone) == of_plant and "in the glue of" in flown.sources
@@ -143,24 +136,23 @@ def test_a_shipped_policy_flies_with_one_command(tmp_path, monkeypatch, capsys, 
 
 def test_the_glue_is_called_at_its_own_rate_while_states_are_lost(tmp_path):
     converted = converted_in(tmp_path, *made("indi and more"), "cortex-a9")
-    library, _ = loaded(tmp_path, converted, 500.0)
-    steps = (ctypes.c_float * 15).in_dll(library, "paparazzi_sent")
-    numbers = np.random.default_rng(0).uniform(-1, 1, SIZE)
-    for state in (0, 1, 2, 3, 4, 5, 9, 10, 24, 25, 40):  # of 500 Hz; a step is five calls
-        command_of(library, state / 500.0, numbers)
-        assert steps[6] == state // 5 + 1, state
-    library.sil_begin()
-    command_of(library, 0.2, numbers)  # the first states of a race are lost
+    autopilot = loaded(tmp_path, converted, 500.0)
+    steps = (ctypes.c_float * 15).in_dll(autopilot._library, "paparazzi_sent")
+    (state,) = random_states(1)
+    for number in (0, 1, 2, 3, 4, 5, 9, 10, 24, 25, 40):  # of 500 Hz; a step is five calls
+        autopilot.step(number / 500.0, state)
+        assert steps[6] == number // 5 + 1, number
+    autopilot.begin()
+    autopilot.step(0.2, state)  # the first states of a race are lost
     assert steps[6] == 40 // 5 + 2
 
 
 @pytest.mark.slow
 def test_a_policy_of_earlier_steps_keeps_its_steps_at_another_rate(tmp_path):
     converted = converted_in(tmp_path, *made("indi and more"), "cortex-m7")
-    library, sources = loaded(tmp_path, converted, 500.0)  # a step is five calls, without a glue
-    numbers = np.random.default_rng(3).uniform(-1, 1, (40, SIZE))
-    sent = np.array([command_of(library, n / 500.0, row) for n, row in enumerate(numbers)])
-    assert sources.startswith("made.qjp, c/{qj_check.c") and "glue" not in sources
+    autopilot = loaded(tmp_path, converted, 500.0)  # a step is five calls, without a glue
+    sent = np.array([autopilot.step(n / 500.0, state) for n, state in enumerate(random_states(40))])
+    assert autopilot.files.startswith("made.qjp, c/{qj_check.c") and "glue" not in autopilot.files
     np.testing.assert_array_equal(sent, np.repeat(sent[::5], 5, axis=0))
     assert len(np.unique(sent, axis=0)) == 8
 
@@ -175,9 +167,8 @@ def test_a_policy_of_earlier_steps_keeps_its_steps_at_another_rate(tmp_path):
 )
 def test_c_for_another_rate_is_refused(name, rate, words, tmp_path):
     converted = converted_in(tmp_path, *made(name), "cortex-m7", 512.0)
-    program, _ = build(converted, sources_of(converted, tmp_path), rate)
     with pytest.raises(InputError, match=words):
-        label_of(program, converted)
+        loaded(tmp_path, converted, rate)
 
 
 REFUSED = {  # commands of export, verify and sil
@@ -217,7 +208,7 @@ def test_a_target_has_no_effect_with_the_folder_of_an_export(tmp_path, monkeypat
     for name in ("x_report.json", "policy.npz", "config.yaml"):
         (tmp_path / name).touch()
     (tmp_path / ".quadjax.json").write_text('{"kind": "export"}')
-    assert run("sil", ".", "--target", "px4") == 2
+    assert run("sil", ".", "--target", "indiflight") == 2
     assert "--target has no effect with the folder of an export" in capfd.readouterr().err
 
 
@@ -225,7 +216,6 @@ def test_ctrl_c_before_the_first_step_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     stop = threading.Event()
     stop.set()
-    peer = SimpleNamespace(rejected=Counter(), rejected_before=0, stopped=True)
     converted = converted_in(tmp_path / "made", *made("published racing"), "cortex-m7")
     texts = []
 
@@ -236,8 +226,7 @@ def test_ctrl_c_before_the_first_step_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(command, "interruptions", interruptions)
     monkeypatch.setattr(sil, "convert_file", lambda *_, **options: converted)
     monkeypatch.setattr(sil, "make_world", lambda *_: Counting())
-    started = contextlib.nullcontext((peer, "exported C", ""))
-    monkeypatch.setattr(sil, "_autopilot", lambda *_: started)
+    monkeypatch.setattr(sil, "ExportedC", lambda *_: Autopilot())
     assert run("sil", "indi") == 130
     assert not (tmp_path / "runs").exists() and b"a flight that has begun is saved" in texts[0]
 
@@ -248,4 +237,4 @@ def test_a_machine_without_compiler_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(toolchain.shutil, "which", lambda name: None)
     monkeypatch.setattr(toolchain, "has_module", lambda name: False)
     with pytest.raises(InputError, match="no C compiler on this machine"):
-        build(converted, sources, 100.0)
+        ExportedC(converted, sources, 100.0)

@@ -25,12 +25,11 @@ def build_autopilot(
 ) -> Path:
     """Build the glue of a target and other C, in a stand-in for its firmware, for this machine.
 
-    ``output`` is the program, or a library (.so) whose functions are those of ``firmware.h``.
+    ``output`` is a library whose functions are those of ``firmware.h`` and of the other C.
     Multiplications are not fused, so that every machine computes the same.
     """
     files, of_glue = sources.autopilot()
-    options = [*of_glue, "-ffp-contract=off", *options, "-lm"]
-    options += ["-shared", "-fPIC"] if output.suffix == ".so" else []
+    options = ["-shared", "-fPIC", *of_glue, "-ffp-contract=off", *options, "-lm"]
     return host().build([*files, *others], output, options)
 
 

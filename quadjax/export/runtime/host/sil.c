@@ -1,22 +1,21 @@
-/* A firmware that messages call: its clock of calls, and its state at each call. */
+/* The firmware's clock of calls around a drone's states, for the software in the loop. */
 #include "firmware.h"
-#include "message.h"
 
 #define RPM_PER_RAD_S 9.549296585513721F
 #define CALL_S (1e-9 * (double)FIRMWARE_CALL_NS)
 #define LONGEST 100000U /* calls without a state */
+
+const char *sil_load(void);       /* 0, or why the policy cannot fly */
+uint32_t sil_own_estimator(void); /* whether the policy's estimator of disturbances runs */
+void sil_begin(void);             /* a race begins with the next state */
+void sil_step(double time_s, const qj_vehicle *state, float to[QJ_COMMANDS]);
+void sil_counts(uint32_t steps[3]); /* of this race: with NaN, clipped, outside */
 
 static qj_vehicle newest;
 static qj_counters before;
 static float command[QJ_COMMANDS];
 static uint32_t call; /* number of the last call in this race */
 static uint32_t begun;
-
-static void copy(float *to, const float *from, int count) {
-  for (int i = 0; i < count; ++i) {
-    to[i] = from[i];
-  }
-}
 
 static uint32_t time_of(uint32_t number) { return (uint32_t)(uint64_t)((double)number * CALL_S * 1e6 + 0.5); }
 
@@ -33,28 +32,10 @@ void sil_begin(void) {
   begun = 0U;
 }
 
-static void read_state(const sil_state *from, qj_vehicle *vehicle) {
-  copy(vehicle->position, from->position_ned_m, 3);
-  copy(vehicle->velocity, from->velocity_ned_m_s, 3);
-  copy(vehicle->euler, from->attitude_rpy_rad, 3);
-  copy(vehicle->quaternion, from->quaternion_wxyz, 4);
-  copy(vehicle->rates, from->rates_frd_rad_s, 3);
-  copy(vehicle->rotor_speed, from->rotor_speed_rad_s, 4);
-  for (int i = 0; i < 4; ++i) {
-    vehicle->rotor_rpm[i] = from->rotor_speed_rad_s[i] * RPM_PER_RAD_S;
-    vehicle->others_command[i] = firmware_pilot()->command[i];
-  }
-  vehicle->thrust[0] = from->thrust_m_s2;
-  copy(vehicle->moment_ext, from->moment_frd_n_m, 3);
-  copy(vehicle->force_ext, from->force_frd_m_s2, 3);
-  copy(vehicle->gyro, from->gyro_frd_rad_s, 3);
-  copy(vehicle->specific_force, from->specific_force_frd_m_s2, 3);
-  copy(vehicle->body_velocity, from->velocity_frd_m_s, 3);
-}
-
-/* Make the calls up to the time of a state; only the last of them has this state. */
-void sil_step(const sil_state *from, sil_command *to) {
-  const double calls = from->header.time_s / CALL_S + 1e-3;
+/* Make the calls up to the time of a state; only the last of them has this state, of which the rpm and
+ * the autopilot's own commands are set here. Commanded rotor speeds are in rad/s. */
+void sil_step(double time_s, const qj_vehicle *state, float to[QJ_COMMANDS]) {
+  const double calls = time_s / CALL_S + 1e-3;
   const uint32_t due = ((calls >= 0.0) && (calls < 4e9)) ? (uint32_t)calls : call;
   const qj_pilot *const pilot = firmware_pilot();
   if ((begun == 0U) || (due - call > LONGEST)) {
@@ -65,17 +46,24 @@ void sil_step(const sil_state *from, sil_command *to) {
     ++call;
     (void)firmware_call(time_of(call), &newest, 1U, command);
   }
-  read_state(from, &newest);
+  newest = *state;
   newest.time_us = time_of(due);
+  for (int i = 0; i < QJ_COMMANDS; ++i) {
+    newest.rotor_rpm[i] = state->rotor_speed[i] * RPM_PER_RAD_S;
+    newest.others_command[i] = pilot->command[i];
+  }
   if (call != due) {
     (void)firmware_call(newest.time_us, &newest, 1U, command);
   }
   call = due;
-  for (int i = 0; i < 4; ++i) {
-    to->command[i] = (pilot->policy.kind == QJ_RPM) ? command[i] / RPM_PER_RAD_S : command[i];
+  for (int i = 0; i < QJ_COMMANDS; ++i) {
+    to[i] = (pilot->policy.kind == QJ_RPM) ? command[i] / RPM_PER_RAD_S : command[i];
   }
-  to->target_gate = pilot->race.target;
-  to->nan_steps = pilot->counters.nan_steps - before.nan_steps;
-  to->clipped_steps = pilot->counters.clipped_steps - before.clipped_steps;
-  to->outside_steps = pilot->counters.outside_steps - before.outside_steps;
+}
+
+void sil_counts(uint32_t steps[3]) {
+  const qj_counters *const now = &firmware_pilot()->counters;
+  steps[0] = now->nan_steps - before.nan_steps;
+  steps[1] = now->clipped_steps - before.clipped_steps;
+  steps[2] = now->outside_steps - before.outside_steps;
 }
