@@ -56,15 +56,12 @@ def interruptions(message: bytes = STOPPING) -> Iterator[threading.Event]:
 
 
 @contextmanager
-def uninterrupted() -> Iterator[list[int]]:
-    """Defer Ctrl-C and SIGTERM to the end of a short block, so that it runs completely.
-
-    Yields the signals received so far.
-    """
+def uninterrupted() -> Iterator[None]:
+    """Defer Ctrl-C and SIGTERM to the end of a short block, so that it runs completely."""
     received: list[int] = []
     try:
         with _handled(lambda number, frame: received.append(number)):
-            yield received
+            yield
     finally:
         if received:
             signal.raise_signal(received[0])
