@@ -18,7 +18,7 @@ from quadjax.core.resources import find_config
 FORM = re.compile(r"training:\w+:\d{1,8}|(environment|observed):\w+:[1-9]\d{0,7}")
 STEPS_PER_CALL = 4_000_000  # environment steps in one timed call, about
 JOBS = [f"environment:e2e:{number}" for number in (1, 64, 4096, 65_536)]
-JOBS += [f"observed:{vehicle}:4096" for vehicle in ("bebop1", "5inch", "a2rl", "cpc")]
+JOBS += [f"observed:{vehicle}:4096" for vehicle in ("bebop1", "5inch", "a2rl")]
 JOBS += [f"training:{preset}:0" for preset in ("e2e", "e2e_ppo", "e2e_paper")]
 
 

@@ -91,7 +91,7 @@ def _roll_out(
         command = jax.tree.unflatten(structure, list(numbers))
         state = state if speed is None else state.replace(actuators=Rotors.of(speed))
         state = rk4_step(lambda s: model.derivative(params, s, command), state, dt)
-        state = model.hold(state.wrapped(), command)
+        state = state.wrapped()
         vectors = (state.position, state.velocity, state.angles, state.rates)
         return state, jnp.stack([vector.array() for vector in vectors])
 

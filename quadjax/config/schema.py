@@ -48,7 +48,7 @@ class Vehicle(Section):
     model: Annotated[str, Code()] = Field(
         "motor",
         description="dynamics: motor (commands are four propeller speeds; E2E), rate (body rates "
-        "and thrust; INDI), racing or a2rl (normalized motor commands), rotor_thrust, or the "
+        "and thrust; INDI), racing or a2rl (normalized motor commands), or the "
         "module:OBJECT of your own VehicleModel; a vehicle file may name it",
     )
     file: str | None = Field(
@@ -92,7 +92,7 @@ class Vehicle(Section):
     quaternion: bool = Field(
         False,
         description="attitude as a quaternion in place of Euler angles, which are singular at a "
-        "pitch of 90 deg; models racing, a2rl and rotor_thrust have one in any case",
+        "pitch of 90 deg; models racing and a2rl have one in any case",
     )
     integrator: Literal["euler", "rk4"] = Field("euler", description="integration of a time step")
     mismatch: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(

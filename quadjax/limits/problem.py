@@ -152,7 +152,7 @@ class Problem:
         low, _ = self.model.command_range(self.params.vehicle.constants)
         numbers = [command[index] for index in range(command.shape[0])]
         held = jax.tree.unflatten(jax.tree.structure(low), numbers)
-        state = self.model.hold(self.state(vector).wrapped(), held)
+        state = self.state(vector).wrapped()
         return self.vector(self.model.derivative(self.params.vehicle, state, held))
 
     def vectors(self, motion: Sequence[np.ndarray], actuators: np.ndarray) -> np.ndarray:

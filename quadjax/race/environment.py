@@ -75,7 +75,7 @@ def _simulate(choices: Choices, params: RaceParams, state: RaceState, action: ja
         state.drone,
         params.rules.time_step,
     )
-    return model.hold(after, held).wrapped()
+    return after.wrapped()
 
 
 def transition(

@@ -160,16 +160,9 @@ class VehicleModel:
         """Thrust at the highest command over weight; None: unknown."""
         return None
 
-    def hold(self, state: State, command: Command) -> State:
-        """The state with actuators that follow the command without a lag.
-
-        Applied after each step, and by ``derivative`` to its argument.
-        """
-        return state
-
     def derivative(self, params: VehicleParams, state: State, command: Command) -> State:
         """The time derivative of a state under a command, as a state."""
-        c, actuators = params.constants, self.hold(state, command).actuators
+        c, actuators = params.constants, state.actuators
         a = _once(params, attitude, state.euler)
         velocity = _once(params, world_to_body, a, state.velocity)
         rate = self.actuator_rate(c, actuators, command)

@@ -2,13 +2,10 @@
 
 from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
-from quadjax.vehicle import motor, racing, rate, rotor_thrust
+from quadjax.vehicle import motor, racing, rate
 from quadjax.vehicle.protocol import VehicleModel
 
-MODELS = {
-    model.name: model
-    for model in (motor.MODEL, rate.MODEL, racing.MODEL, racing.A2RL, rotor_thrust.MODEL)
-}
+MODELS = {model.name: model for model in (motor.MODEL, rate.MODEL, racing.MODEL, racing.A2RL)}
 
 
 def base_model(reference: str | VehicleModel) -> VehicleModel:

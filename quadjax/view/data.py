@@ -17,7 +17,7 @@ MISSING = -32768  # of its integers: no value
 TURNS = {"rpm": 1.0 / 60.0, "rad/s": 0.5 / np.pi}  # per second, of one unit of a rotor speed
 NOT_IN_A_STRIP = ("position", "velocity", "body_velocity", "attitude", "target", "flying")
 FIRST = ("command", "actuators", "rates")  # of the strips
-QUANTITIES = {"rad/s": "body rates", "m/s^2": "thrust", "N": "rotor thrust"}  # of commands
+QUANTITIES = {"rad/s": "body rates", "m/s^2": "thrust"}  # of commands
 
 
 def page_record(title: str, flights: Sequence[Flight]) -> dict[str, Any]:

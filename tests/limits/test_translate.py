@@ -27,7 +27,6 @@ RACES = {
     "rate": ("indi +fastest",),
     "5-inch": ("e2e +fastest", "vehicle=5inch"),
     "A2RL": ("e2e +fastest", "vehicle=a2rl"),
-    "CPC": ("e2e +fastest", "vehicle=cpc"),
 }
 
 

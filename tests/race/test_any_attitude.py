@@ -13,7 +13,6 @@ from tests import reference as ref
 from tests.promotion import QUICK
 from tests.race.support import (
     compiled_observe,
-    compiled_transition,
     make_race,
     race_state,
     track_of,
@@ -91,12 +90,3 @@ def test_gradient_through_the_race_at_any_attitude():
     assert not np.any(ended)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(found))
     assert np.abs(found[1]).min() > 0
-
-
-def test_thrusts_without_a_lag_are_those_of_the_command():
-    choices, params = make_race("vehicle=cpc", TRACK)
-    state = states((choices, params), ATTITUDES[:1])
-    action = np.float32([[-1.0, 0.0, 1.0, 3.0]])
-    after = compiled_transition(choices)(params, state, action)[0].drone
-    thrusts = [x[0] for x in after.actuators]
-    np.testing.assert_allclose(thrusts, [0, 0.5 * 6.879, 6.879, 6.879], rtol=1e-6)

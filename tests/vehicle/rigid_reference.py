@@ -58,16 +58,6 @@ A2RL = FIVE_INCH | {
     "k": 0.5,
     "tau": 0.03,
 }
-CPC = {
-    "g": 9.81,
-    "mass": 0.85,
-    "inertia": [0.001, 0.001, 0.0017],
-    "arm_x": 0.106066,
-    "arm_y": 0.106066,
-    "k_torque": 0.05,
-    "thrust_min": 0.0,
-    "thrust_max": 6.879,
-}
 
 
 def rotation(q: np.ndarray) -> np.ndarray:
@@ -128,19 +118,6 @@ def racing_derivative(c: dict, state: np.ndarray, command: np.ndarray) -> np.nda
     derivative = _kinematics(state, np.column_stack([drag, -thrust]), spin, c["g"])
     derivative[:, ROTORS] = d[:, np.argsort(PUBLISHED)]
     return derivative
-
-
-def cpc_derivative(c: dict, state: np.ndarray, command: np.ndarray) -> np.ndarray:
-    """Time derivative of states under thrusts (n, 4), N: each at its place, about the center."""
-    x, y = c["arm_x"], c["arm_y"]
-    places = np.array([[x, -y, 0], [x, y, 0], [-x, y, 0], [-x, -y, 0]])
-    lift = np.zeros((len(state), 4, 3))
-    lift[:, :, 2] = -command
-    moment = np.cross(places, lift).sum(axis=1)
-    moment[:, 2] += c["k_torque"] * command @ [-1, 1, -1, 1]
-    inertia, omega = np.array(c["inertia"]), state[:, RATES]
-    spin = (moment - np.cross(omega, inertia * omega)) / inertia
-    return _kinematics(state, lift.sum(axis=1) / c["mass"], spin, c["g"])
 
 
 def random_states(low: float, high: float, count: int, seed: int = 0) -> np.ndarray:

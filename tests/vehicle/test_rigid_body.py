@@ -24,8 +24,8 @@ from tests.race.support import by_rows
 from tests.vehicle import rigid_reference as ref
 
 COUNT = 300
-VEHICLES = {"5inch": ref.FIVE_INCH, "3inch": ref.THREE_INCH, "a2rl": ref.A2RL, "cpc": ref.CPC}
-RANGES = {"5inch": (238, 3295), "3inch": (305, 4888), "a2rl": (342, 3100), "cpc": (0, 6.879)}
+VEHICLES = {"5inch": ref.FIVE_INCH, "3inch": ref.THREE_INCH, "a2rl": ref.A2RL}
+RANGES = {"5inch": (238, 3295), "3inch": (305, 4888), "a2rl": (342, 3100)}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -88,8 +88,7 @@ def level(name, speed, **columns):
 def test_derivative(name):
     rows = ref.random_states(*RANGES[name], COUNT)
     command = np.random.default_rng(1).uniform(0.0, 1.0, (COUNT, 4))
-    published = ref.cpc_derivative if name == "cpc" else ref.racing_derivative
-    expected = published(VEHICLES[name], rows, command)
+    expected = ref.racing_derivative(VEHICLES[name], rows, command)
     scale = np.maximum(np.abs(expected).max(axis=0), 1e-3)
     assert np.max(np.abs(slope_of(name, rows, command) - expected) / scale) < 1e-12
 
@@ -131,14 +130,12 @@ def test_hover_is_an_equilibrium(name):
     zero = Vec3.zero()
     motion = Motion(zero, zero, zero.replace(z=np.float64(0.7)), zero)
     state = jax.jit(model.hover, compiler_options=QUICK)(params.constants, motion)
-    command = state.actuators
-    if name != "cpc":
-        command = racing.command_of(params.constants, state.actuators)
-        speeds = rows_of(racing.motor_map(params.constants, command))
-        np.testing.assert_allclose(speeds, rows_of(state.actuators), rtol=1e-12)
+    command = racing.command_of(params.constants, state.actuators)
+    speeds = rows_of(racing.motor_map(params.constants, command))
+    np.testing.assert_allclose(speeds, rows_of(state.actuators), rtol=1e-12)
     rows = (jax.tree.map(lambda leaf: np.asarray(leaf)[None], each) for each in (state, command))
     np.testing.assert_allclose(rows_of(_slope(model)(params, *rows)), 0.0, atol=1e-8)
-    assert np.ptp(rows_of(state.actuators)) > (0 if name == "cpc" else 10) - 1e-9
+    assert np.ptp(rows_of(state.actuators)) > 10
 
 
 def test_drawn_curvature_of_the_motor_map_stays_valid():

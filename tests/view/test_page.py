@@ -88,7 +88,6 @@ def test_commands_and_actuators_have_titles_of_their_vehicle():
         "motor": ["commanded rotor speed", "rotor speed"],
         "rate": ["commanded body rates", "commanded thrust", "thrust"],
         "racing": ["motor command", "rotor speed"],
-        "rotor_thrust": ["commanded rotor thrust", "rotor thrust"],
     }
     flight = circle("one")
     for name, titles in wanted.items():
