@@ -14,7 +14,6 @@ static float any_float(void) {
   return pun.value;
 }
 static uint32_t any_unsigned(void) { return Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU); }
-static int32_t any_within(int32_t limit) { return Frama_C_interval(-limit, limit); }
 static int32_t any_integer(void) { return Frama_C_interval(-2147483647 - 1, 2147483647); }
 static int64_t any_long(int64_t low, int64_t high) {
   return Frama_C_long_long_interval(low, high);
@@ -26,21 +25,19 @@ static qj_pilot pilot;
 static uint32_t load(void) {
   qj_policy *const policy = &pilot.policy;
 #if WHOLE_LOADER
-  if (qj_load(policy, &pilot.race, words, sizeof(words)) != QJ_OK) { return 0U; }
+  if (qj_load(policy, words, sizeof(words)) != QJ_OK) { return 0U; }
 #else
   read_header(policy, words);
   const qj_error error = find_tables(policy, words, sizeof(words) / 4U - 1U);
-  policy->history = HISTORY;
   policy->position = POSITION;
   /*@ assert loaded: error == QJ_OK; */
 #endif
   return 1U;
 }
 
-/* The memory of the history and of the disturbances is within bounds that every call keeps (asserted
- * below); that of the highest rpm is by the proof of quadjax.export.battery_tables. */
+/* The memory of the disturbances is within bounds that every call keeps (asserted below); that of the
+ * highest rpm is by the proof of quadjax.export.battery_tables. */
 static void remember_anything(void) {
-  for (uint32_t i = 0U; i < QJ_MAX_HISTORY; ++i) { pilot.race.history[i] = any_within(QJ_INPUT_ONE); }
   for (uint32_t i = 0U; i < 3U; ++i) { pilot.race.previous[i] = any_integer(); }
   for (uint32_t i = 0U; i < 6U; ++i) {
     pilot.estimator.s1[i] = any_long(-MEMORY, MEMORY);
@@ -57,8 +54,6 @@ static void remember_anything(void) {
   pilot.estimator.started = any_unsigned();
   pilot.race.placed = any_unsigned();
   pilot.race.target = any_unsigned();
-  pilot.race.next = any_unsigned();
-  pilot.race.filled = any_unsigned();
   pilot.race.passed = any_unsigned();
   pilot.race.missed = any_unsigned();
   pilot.usable = 1U;
@@ -88,9 +83,6 @@ void eva_main(void) {
   for (uint32_t i = 0U; i < 6U; ++i) {
     /*@ assert bounded: -MEMORY <= pilot.estimator.s1[i] <= MEMORY; */
     /*@ assert bounded: -MEMORY / 2 <= pilot.estimator.s2[i] <= MEMORY / 2; */
-  }
-  for (uint32_t i = 0U; i < QJ_MAX_HISTORY; ++i) {
-    /*@ assert bounded: -QJ_INPUT_ONE <= pilot.race.history[i] <= QJ_INPUT_ONE; */
   }
   int32_t q[QJ_MAX_WIDTH];
   int32_t out[QJ_COMMANDS];

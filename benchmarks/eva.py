@@ -45,8 +45,8 @@ def analyze(words: bytes, folder: Path, whole: bool = False) -> tuple[int, bool,
         str(x) if x > -(2**31) else "(-2147483647 - 1)" for x in np.frombuffer(words, "<i4")
     )
     start = policy.race.starts["position"]
-    values = {"HISTORY": policy.race.history, "POSITION": start, "MEMORY": MEMORY}
-    values |= {"ESTIMATOR": int(policy.estimator is not None), "WHOLE_LOADER": int(whole)}
+    values = {"POSITION": start, "MEMORY": MEMORY, "WHOLE_LOADER": int(whole)}
+    values |= {"ESTIMATOR": int(policy.estimator is not None)}
     lines = "".join(f"#define {name} {value}\n" for name, value in values.items())
     lines += f"static const int32_t words[] = {{{numbers}}};\n"
     (folder / "words.h").write_text(lines)

@@ -13,8 +13,8 @@ enum { LARGEST = 65536, STEPS = 20 };
 /* A file may contain the right self-tests for whatever else it says: the pilot flies what only they
  * refuse. */
 static qj_error error_of_load;
-static qj_error load(qj_policy *policy, qj_race *race, const int32_t *words, uint32_t bytes) {
-  error_of_load = qj_load(policy, race, words, bytes);
+static qj_error load(qj_policy *policy, const int32_t *words, uint32_t bytes) {
+  error_of_load = qj_load(policy, words, bytes);
   return (error_of_load == QJ_BAD_SELF_TEST) ? QJ_OK : error_of_load;
 }
 #define qj_load load

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import quadjax
 
 
-def level(step):
-    """Reward term: squared roll angle, times the duration of the step."""
-    return step.time_step * step.euler.x**2
+def out_of_view(step):
+    """Reward term: 1 minus the cosine of the angle from a forward camera's axis to the gate."""
+    to_gate = step.drone.to_body(step.gate.position - step.position)
+    return step.time_step * (1.0 - to_gate.x / jnp.maximum(step.distance, 0.1))
 
 
 def ceiling(step):
@@ -23,7 +24,7 @@ def speed(step):
 
 SPEED = quadjax.Field("speed", 1, "10 m/s", "world", range=4.0, value=speed)
 CHANGES = [  # modules are imported from the current folder, or from that of the script
-    "reward.terms={04_race:level: -0.5}",
+    "reward.terms={04_race:out_of_view: -0.5}",
     "rules.extra=[04_race:ceiling]",
     "observation.extra=[04_race:SPEED]",
 ]

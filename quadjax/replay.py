@@ -30,12 +30,10 @@ from quadjax.log_states import DISTURBANCES, disturbances_of, states_of, vehicle
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import command_ranges
 from quadjax.predictions import Arrays, predict
-from quadjax.race.layout import split_name
 from quadjax.race.track import TrackSection
 from quadjax.vehicle.protocol import VehicleModel, VehicleParams
 
 AT_LIMIT = 1e-3  # of a command's range
-RATE_ERROR = 0.05  # of a log's sample rate, of a policy that observes a history
 UNITS = {"position": "m", "velocity": "m/s", "attitude": "deg", "rates": "rad/s"}  # of errors
 FILES = ("table.txt", "replay.json", "trajectory.*", "prediction.*", "commands.*")
 PREDICTIONS = {"model": "rms_error", "unchanged": "rms_unchanged"}  # keys by label
@@ -205,17 +203,12 @@ def _observations(
     flight: Flight, race: PolicyRace, commands: np.ndarray | None
 ) -> tuple[np.ndarray, str]:
     """Observations (n, inputs) float32, in the scaling of training, and their disturbances."""
-    layout, model, step = race.choices.layout, race.choices.model, flight.step
-    if layout.depth and abs(step / race.time_step - 1.0) > RATE_ERROR:
-        raise InputError(
-            f"{flight.source['path']}: {1.0 / step:.4g} samples/s; the policy observes a history, "
-            f"which needs a log of {1.0 / race.time_step:.4g} samples/s"
-        )
+    layout, model = race.choices.layout, race.choices.model
     sizes, more = state_sizes(layout, model), {}
     if LAST_COMMAND in sizes and commands is not None:
         low, high = command_ranges(race.choices, race.params)
         more[LAST_COMMAND] = np.concatenate([[0.5 * (low + high)], commands[:-1]])
-    observed = [name for name in layout.names if split_name(name)[0] in DISTURBANCES]
+    observed = [name for name in layout.names if name in DISTURBANCES]
     estimates = disturbances_of(flight, model, race.params.vehicle) if observed else {}
     source = "taken as zero, as the model has no estimator" if observed else ""
     if observed and layout[observed[0]].source == "none":

@@ -68,7 +68,6 @@ WITHOUT_CONFIG = (
 )
 # Public functions that also take a preset's name.
 EDGES = {"race_of_policy", "policy_of", "_make", "_make_vector"}
-EDGES |= {"specialize", "outside", "_constants"}  # of the drone of a config
 EDGES |= {"plan_race", "race_config", "plan_logs"}  # flights of a race on the plant
 
 

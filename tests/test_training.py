@@ -179,7 +179,7 @@ def test_a_damaged_checkpoint_is_refused_before_anything_is_compiled(tmp_path, m
 
 TRAINED = {"e2e", "e2e_ppo", "indi_ppo"}  # by other tests
 PRESETS = sorted({*preset_names()} - TRAINED)
-PRESETS += ["e2e +residual", "e2e_race_robust +history", "e2e_paper +authors_code"]
+PRESETS += ["e2e +residual", "e2e_paper +authors_code"]
 STANDIN = {"e2e_table1": ["vehicle.residual=standin_residual.npz"]}  # the published one is not here
 
 

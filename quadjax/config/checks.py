@@ -12,8 +12,6 @@ from quadjax.config.schema import Config, Schedule
 from quadjax.core.errors import InputError, close_match, prefixed, short
 from quadjax.core.section_keys import fields_at, value_at
 from quadjax.core.sections import BadValue, refuse
-from quadjax.race.layout import LONGEST
-from quadjax.race.observations import ACTUATORS, history_names
 from quadjax.vehicle.constants import declarations
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import base_model
@@ -103,26 +101,12 @@ def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
 
 
 def _check_observation(config: Config) -> None:
-    """Check that observed constants are drawn, and which fields have a history."""
-    observed, model = config.observation, base_model(config.vehicle.model)
-    random = any(config.randomization.by_constant(model).values())
-    for key in ("constants", "critic_constants"):
-        if getattr(observed, key) and not (random or config.randomization.population):
-            allowed = "false where randomization draws none (randomization.all=0.2 draws them)"
-            refuse(f"observation.{key}", True, allowed)
-    if observed.constants and observed.critic_constants:
-        refuse("observation.critic_constants", True, "false with observation.constants")
-    past = observed.history
-    if past is None:
-        return
-    fields = history_names(model, observed)
-    names = [model.actuators.name if name == ACTUATORS else name for name in past.fields]
-    if not names or len(set(names)) < len(names) or set(past.fields) - set(fields):
-        listed = f"one or more of {', '.join(fields)}, each once"
-        refuse("observation.history.fields", past.fields, listed)
-    if past.steps * past.every > LONGEST:
-        allowed = f"at most {LONGEST // past.every} with every {past.every}"
-        refuse("observation.history.steps", past.steps, allowed)
+    """Check that observed constants are drawn."""
+    draws = config.randomization
+    random = draws.population or any(draws.by_constant(base_model(config.vehicle.model)).values())
+    if config.observation.critic_constants and not random:
+        allowed = "false where randomization draws none (randomization.all=0.2 draws them)"
+        refuse("observation.critic_constants", True, allowed)
 
 
 def _check_effects(config: Config) -> None:

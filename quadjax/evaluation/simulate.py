@@ -21,7 +21,7 @@ from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race import environment, episode
 from quadjax.race import laps as race
-from quadjax.race.episode import draw_start, start_gate, with_memory
+from quadjax.race.episode import draw_start, start_gate, with_estimate
 from quadjax.race.laps import Actor
 from quadjax.race.random_track import RandomTracks
 from quadjax.race.track import Track, gate, gate_count
@@ -167,7 +167,7 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
     drone = model.start(constants, motion, draws["actuators"], (low, high))
     zero = jnp.zeros((), jnp.int32)
     fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
-    return with_memory(choices, params, fresh)
+    return with_estimate(choices, params, fresh)
 
 
 @cached

@@ -11,13 +11,12 @@ from quadjax.export import emulator
 from quadjax.export.battery import MOTORS, BatteryTables
 from quadjax.export.disturbances import CHANNELS, EstimatorTables
 from quadjax.export.estimator_emulator import Battery, estimate
-from quadjax.export.integers import DIGEST_START, ONE, digest, quantize, word_digest
+from quadjax.export.integers import ONE, digest, quantize
 from quadjax.export.network import FixedNetwork
 from quadjax.export.race_tables import RaceTables
 
 CORNERS, SIMULATED, RANDOM = 8, 16, 8
 RANDOM_STATES, SIMULATED_STATES = 6, 10
-HISTORY_ROUNDS = 6  # of the states, of which a digest is compared where there is a history
 MEASUREMENTS, SAMPLES = 16, 64  # of an estimator: the measurements are repeated
 
 
@@ -50,7 +49,6 @@ class Cases:
     estimates: np.ndarray  # (SAMPLES, 6) the bits of moment and force after each
     samples: np.ndarray  # (MEASUREMENTS, 8) the bits
     digests: np.ndarray  # (SAMPLES, 1) of the battery's memory after each
-    history_digest: int  # of the inputs in further rounds of the states, with a history
 
 
 def make_cases(
@@ -93,26 +91,22 @@ def answered(
 ) -> Cases:
     """The cases of inputs int32, states float32 and targets, and of the estimators' samples."""
     race, rows = tables.race, emulator.forward_rows(tables.network, inputs)
-    count, rounds = len(states), HISTORY_ROUNDS if race.history else 0
     gates = np.where((targets >= 0) & (targets < race.gates), targets, 0)
-    tiled = np.tile(states, (1 + rounds, 1)), np.tile(gates, 1 + rounds)
-    observed, status = emulator.observe(race, *tiled)
-    rest = observed[count:].astype(np.int64).reshape(1, -1) & 0xFFFFFFFF
+    observed, status = emulator.observe(race, states, gates)
     arrays = {
         "inputs": inputs,
         "commands": rows[:, :-1],
         "traces": rows[:, -1:],
         "states": states,
         "targets": targets[:, None].astype(np.uint32),
-        "observed": observed[:count],
-        "status": status[:count],
+        "observed": observed,
+        "status": status,
         "measurements": measurements,
         "estimates": _estimates(tables.estimator, measurements),
         "samples": samples,
         "digests": _digests(tables.battery, samples),
     }
-    words = {name: np.ascontiguousarray(x).view(np.uint32) for name, x in arrays.items()}
-    return Cases(**words, history_digest=int(word_digest(rest)[0]) if rounds else DIGEST_START)
+    return Cases(**{name: np.ascontiguousarray(x).view(np.uint32) for name, x in arrays.items()})
 
 
 def _measurements(tables: EstimatorTables | None) -> np.ndarray:

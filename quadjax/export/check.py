@@ -22,7 +22,7 @@ from quadjax.export.race_tables import (
 )
 from quadjax.export.words import COMMANDS, LARGEST_EXPONENT, LARGEST_SHIFT, FixedPolicy
 
-LARGEST_LAG, LARGEST_YAW, LARGEST_RANGE = 4096, 2**36, 96
+LARGEST_YAW, LARGEST_RANGE = 2**36, 96
 
 
 def _require(condition: bool, what: str) -> None:
@@ -65,7 +65,7 @@ def check(policy: FixedPolicy) -> None:
 def _is_input(race: RaceTables, part: Input) -> bool:
     exponent, numbers, kind = race.box.exponent[part.name], part.numbers, part.kind
     middle, factor, shift = (numbers[name] for name in ("middle", "factor", "shift"))
-    fine = abs(exponent) <= LARGEST_EXPONENT and 0 <= part.lag <= LARGEST_LAG
+    fine = abs(exponent) <= LARGEST_EXPONENT
     fine &= bool(np.all(numbers["source"] >= 0))
     if kind == "scaled":
         fine &= bool(np.all((shift >= 1) & (shift <= LARGEST_SHIFT)))

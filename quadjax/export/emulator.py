@@ -136,8 +136,6 @@ def observe(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Network inputs of states (n, state_size) float32 towards gates ``target`` (n,).
 
-    Where a history is observed, the states are those of one flight from its start on.
-
     Returns:
         The inputs (n, inputs) int32; and masks (n, 3) uint32: which numbers of the state are
         clipped, which are NaN, and which inputs are outside their range.
@@ -153,8 +151,7 @@ def _input(tables: RaceTables, part: Input, q: np.ndarray, target: np.ndarray) -
     """The inputs (n, size) of one field, before clipping."""
     if part.kind == "gate":
         return tables.next_gate[target][:, part.sources]
-    then = np.maximum(np.arange(len(q)) - part.lag, 0)
-    values, network = q[then][:, part.sources], tables.box.exponent[part.name]
+    values, network = q[:, part.sources], tables.box.exponent[part.name]
     gates = tables.track[target]
     if part.kind == "scaled":
         middle, factor, bits = (part.numbers[name] for name in ("middle", "factor", "shift"))

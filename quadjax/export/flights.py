@@ -46,13 +46,11 @@ class Rollouts:
     targets: np.ndarray  # (n,) int32
     laps: Laps | None = None  # of all flights
     steps: int = 0  # of all flights
-    longest: np.ndarray | None = None  # rows of one flight, where a history is observed
 
     def thinned(self) -> "Rollouts":
-        """At most ``KEPT_ROWS`` rows, evenly spread; with a history those of one flight."""
+        """At most ``KEPT_ROWS`` rows, evenly spread."""
         count = len(self.states)
         rows = np.linspace(0, count - 1, min(KEPT_ROWS, count)).astype(int)
-        rows = rows if self.longest is None else self.longest[:KEPT_ROWS]
         return Rollouts(
             self.observations[rows], self.states[rows], self.targets[rows], self.laps, self.steps
         )
@@ -68,24 +66,7 @@ def simulate(race: PolicyRace, runs: int = RUNS, laps: int = LAPS, seed: int = S
     controlled = np.array([crash not in LOST_CONTROL for crash in result.crashes])
     going = ~np.asarray(trace.over) & (controlled if controlled.any() else ~controlled)
     states, targets = _states(trace, race, going, seed), np.asarray(trace.target)[going]
-    earlier = longest = None
-    if depth := race.choices.layout.depth:
-        earlier, longest = _earlier(going, depth)
-    observations = observe(race, states, targets, earlier)
-    return Rollouts(observations, states, targets, result, len(states), longest)
-
-
-def _earlier(going: np.ndarray, depth: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of earlier states of rows that are ``going`` (time, runs), and rows of one flight.
-
-    Returns:
-        The rows (n, depth) of the states of 1, 2 .. steps before, and those of the longest flight.
-    """
-    rows = np.cumsum(going.ravel()).reshape(going.shape) - 1
-    times = np.arange(len(going))[:, None] - 1 - np.arange(depth)
-    earlier = np.moveaxis(rows[np.maximum(times, 0)], 1, -1)  # (time, runs, depth)
-    run = int(going.sum(axis=0).argmax())
-    return earlier[going], rows[going[:, run], run]
+    return Rollouts(observe(race, states, targets), states, targets, result, len(states))
 
 
 def _fly(

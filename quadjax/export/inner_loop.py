@@ -15,6 +15,7 @@ from quadjax.export.race_source import PolicyRace
 from quadjax.export.render import call_frequency
 from quadjax.export.targets import Target
 from quadjax.export.words import FixedPolicy
+from quadjax.race.layout import LAST_ACTION
 
 FILE, FORMAT = "inner_loop.yaml", "quadjax-inner-loop/1"
 MODEL = "rate"  # the vehicle model whose commands the file describes
@@ -69,7 +70,7 @@ def inner_loop(policy: FixedPolicy, race: PolicyRace, target: Target) -> str | N
         if paparazzi and is_rate:
             command |= {"scale": BFP_RATE, "integer": "int32_t, INT32_RATE_FRAC"}
         commands.append(command)
-    held = race.choices.layout.counts_steps
+    held = LAST_ACTION in race.choices.layout
     training, calls = 1.0 / race.time_step, call_frequency(policy) if target.calls else None
     tree: dict[str, object] = {
         "format": FORMAT,

@@ -32,13 +32,13 @@ class PilotEmulator:
         network = self._policy.network
         middle = (network.command_low + network.command_high) * 0.5**network.fraction_bits
         self.command: np.ndarray = (0.5 * middle).astype(np.float32)
-        self._states, self._target, self._before = list[np.ndarray](), 0, None
+        self._target, self._before = 0, None
         self._number = 0
 
     def call(self, vehicle: np.ndarray) -> np.ndarray:
         """The command (4,) float32 at a state, a record of ``build.VEHICLE``."""
         others = vehicle["others_command"]
-        self._estimate(vehicle, self.command if self._states else others)
+        self._estimate(vehicle, others if self._before is None else self.command)
         if self._number % self._calls == 0:
             self._step(vehicle)
         self._number += 1
@@ -64,15 +64,14 @@ class PilotEmulator:
         values = {name: vehicle[name] for name in vehicle.dtype.names or ()}
         values |= {"last_command": self.command} | self._estimated
         parts = [np.atleast_1d(values[name]) for name in race.fields]
-        self._states.append(np.concatenate(parts).astype(np.float32))
         now = quantize(vehicle["position"][None], race.exponents[:3])
         target = np.array([self._target])
         if self._before is not None:
             event = emulator.gate_event(race, self._before, now, target)[0]
             self._target = (self._target + int(event == emulator.PASSED)) % race.gates
         self._before = now
-        states = np.array(self._states)
-        q = emulator.observe(race, states, np.full(len(states), self._target))[0][-1:]
+        state = np.concatenate(parts).astype(np.float32)
+        q = emulator.observe(race, state[None], np.array([self._target]))[0]
         bits = network.fraction_bits
         command = emulator.forward_rows(network, q)[0, :4].astype(np.int64)
         if noise := self._policy.noise:

@@ -21,7 +21,7 @@ from quadjax.core.vectors import Vec3
 from quadjax.export.integers import ONE, Rescale
 from quadjax.export.ranges import InputBox, next_gates
 from quadjax.policy.file import Policy
-from quadjax.race.layout import LAST_ACTION, Layout, ObservedField, split_name
+from quadjax.race.layout import LAST_ACTION, Layout, ObservedField
 from quadjax.race.observation_config import NONE
 from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM
 from quadjax.race.track import Track
@@ -85,7 +85,6 @@ class Input:
     # (size,) of ``NUMBER``: number of the state, or of the gate's constants; of a rotation the
     # first one. Scaled inputs are (number - middle) factor >> shift, others have 0, 0 and 1.
     numbers: np.ndarray
-    lag: int = 0  # steps before the present one, of the state that it is computed from
 
     @property
     def sources(self) -> np.ndarray:
@@ -105,11 +104,6 @@ class RaceTables:
     next_gate: np.ndarray  # (gates, n) int64, network inputs that depend on the gate alone
     world_box: bool  # a gate's opening is tested along the world's axes, not its own
     time_step: float  # s, between observations
-
-    @property
-    def history(self) -> int:
-        """The number of earlier states that the observation needs."""
-        return max(part.lag for part in self.inputs)
 
     @property
     def gates(self) -> int:
@@ -138,14 +132,13 @@ def state_sizes(layout: Layout, model: VehicleModel) -> dict[str, int]:
 
     A policy that observes a rotation matrix gets a quaternion, any other one Euler angles.
     """
-    observed = {split_name(name)[0] for name in layout.names}
     names = ["position", "velocity"]
     names += [] if "rotation" in layout and "attitude" not in layout else ["euler"]
     names += ["quaternion"] if "rotation" in layout else []
     names += ["rates", model.actuators.name]
     names += ["moment_ext", "force_ext"] if model.disturbed else []
     names += [HIGHEST_RPM] if HIGHEST_RPM in layout else []
-    names += [LAST_COMMAND] if LAST_ACTION in observed else []
+    names += [LAST_COMMAND] if LAST_ACTION in layout else []
     size = model.actuators.size  # of actuators that no C has
     return {name: FIELDS.get(name, (size,))[0] for name in names}
 
@@ -206,19 +199,12 @@ Spans = list[tuple[int, Rescale | None]]  # of each number: exponent of the stat
 
 
 def _spans(policy: Policy, box: InputBox) -> dict[str, Spans]:
-    """Exponents and integers of the scaled fields, those of a history under its field's name.
-
-    Raises:
-        InputError: a history with another scale than its field.
-    """
-    spans: dict[str, Spans] = {}
-    for field in policy.layout.fields:
-        base = split_name(field.name)[0]
-        if base in box.scaled_fields:
-            span = [_span(policy, box, field, number) for number in range(field.size)]
-            if spans.setdefault(base, span) != span:
-                raise InputError(f"the policy's layout: {field.name} has another span than {base}")
-    return spans
+    """Exponents and integers of the scaled fields."""
+    return {
+        field.name: [_span(policy, box, field, number) for number in range(field.size)]
+        for field in policy.layout.fields
+        if field.name in box.scaled_fields
+    }
 
 
 def _span(
@@ -294,7 +280,7 @@ def _inputs(race: RaceTables, spans: dict[str, Spans]) -> tuple[Input, ...]:
     """How each field of the layout is computed."""
     layout, starts, inputs, constants = race.box.layout, race.starts, list[Input](), 0
     for field in layout.fields:
-        (name, lag), index = split_name(field.name), layout.slice(field.name).start
+        name, index = field.name, layout.slice(field.name).start
         if name in KINDS:
             kind, source = KINDS[name]
             step = 0 if kind == "rotation" else 1
@@ -308,5 +294,5 @@ def _inputs(race: RaceTables, spans: dict[str, Spans]) -> tuple[Input, ...]:
             constants += field.size
         rescales = [rescale or PLAIN for _, rescale in spans.get(name, [(0, None)] * field.size)]
         rows = [(at, *dataclasses.astuple(x)) for at, x in zip(sources, rescales, strict=True)]
-        inputs.append(Input(field.name, kind, index, np.array(rows, NUMBER), lag))
+        inputs.append(Input(name, kind, index, np.array(rows, NUMBER)))
     return tuple(inputs)

@@ -8,8 +8,8 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.export.names import POWER_OF_TWO, is_range
 from quadjax.policy.file import Policy
-from quadjax.race.layout import LAST_ACTION, Layout, split_name
-from quadjax.race.observations import AHEAD, CONSTANTS, DISTURBANCES, HIGHEST_RPM, fields_of
+from quadjax.race.layout import LAST_ACTION, Layout
+from quadjax.race.observations import AHEAD, DISTURBANCES, HIGHEST_RPM, fields_of
 from quadjax.race.track import Track, gates_ahead, unwrapped_turns
 from quadjax.vehicle.registry import MODELS
 
@@ -41,11 +41,7 @@ class InputBox:
 
     def unit(self, field: str) -> str:
         """The unit of a field's inputs."""
-        return (
-            "of its range"
-            if split_name(field)[0] in self.scaled_fields
-            else self.layout[field].unit
-        )
+        return "of its range" if field in self.scaled_fields else self.layout[field].unit
 
     def limit(self, field: str) -> float:
         """The half-width of a field's range, in its unit."""
@@ -53,16 +49,13 @@ class InputBox:
 
     @property
     def declared(self) -> dict[str, float]:
-        """The half-widths by field of the layout; a history has those of its field."""
-        return {name: self.limit(name) for name in self.layout.names if not split_name(name)[1]}
+        """The half-widths by field of the layout."""
+        return {name: self.limit(name) for name in self.layout.names}
 
     def check(self, observations: np.ndarray) -> None:
         """Raise an ``InputError`` if observations (n, inputs) leave the box."""
-        largest, sizes = np.max(np.abs(observations), axis=0), dict[str, float]()
-        for name in self.layout.names:  # the range of a history is that of its field
-            base, size = split_name(name)[0], float(largest[self.layout.slice(name)].max())
-            sizes[base] = max(size, sizes.get(base, 0.0))
-        limits = {name: self.limit(name) for name in sizes}
+        largest, limits = np.max(np.abs(observations), axis=0), self.declared
+        sizes = {name: float(largest[self.layout.slice(name)].max()) for name in limits}
         beyond = {n: size for n, size in sizes.items() if not size <= limits[n] * ROUNDING}
         if beyond:
             problems = "; ".join(
@@ -88,28 +81,21 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
             that is not a power of two.
     """
     model = MODELS[policy.vehicle]
-    without = {CONSTANTS, *(() if model.has_battery else (HIGHEST_RPM,))}
+    without = set() if model.has_battery else {HIGHEST_RPM}
     without |= set() if model.disturbed else set(DISTURBANCES)
     fields = {name: f for name, f in fields_of(model).items() if name not in without}
     for field in policy.layout.fields:
-        base, lag = split_name(field.name)
-        fits = not lag or (
-            base in fields
-            and fields[base].has_history
-            and (base in policy.layout or base == LAST_ACTION)
-        )
-        if base not in fields or fields[base].size != field.size or not fits:
+        if field.name not in fields or fields[field.name].size != field.size:
             raise InputError(
                 f"the policy observes {field.name!r} ({field.size} numbers), which has no C; "
                 f"supported: {', '.join(f'{f.name} ({f.size})' for f in fields.values())}"
             )
-    spans = {f.name: float(f.range) for f in policy.layout.fields if not split_name(f.name)[1]}
+    spans = {f.name: float(f.range) for f in policy.layout.fields}
     for name, value in (overrides or {}).items():
         if name not in spans:
             raise InputError(f"range {name}={value:g}: unknown name, allowed: {', '.join(spans)}")
         spans[name] = value
     ranges = {name: field.range for name, field in fields.items()} | spans
-    ranges |= {name: ranges[split_name(name)[0]] for name in policy.layout.names}
     for name, value in ranges.items():
         if not is_range(value):
             raise InputError(f"range {name}={value:g}: allowed: {POWER_OF_TWO}, such as 8 or 0.5")

@@ -30,7 +30,7 @@ from quadjax.export.words import (
     pack,
     padded,
 )
-from quadjax.race.layout import Layout, ObservedField, split_name
+from quadjax.race.layout import Layout, ObservedField
 from quadjax.race.observations import fields_of
 from quadjax.vehicle.registry import MODELS
 
@@ -222,7 +222,7 @@ class _Reader:
             rows = self.take("<u4", count * width).reshape(count, width)
             columns = np.split(rows, np.cumsum(list(group.values()))[:-1], axis=1)
             arrays |= dict(zip(group, columns, strict=True))
-        return Cases(**arrays, history_digest=int(header["history_digest"]))
+        return Cases(**arrays)
 
 
 def _string(words: np.ndarray) -> str:
@@ -245,9 +245,9 @@ def _box(parts: np.ndarray, vehicle: str) -> InputBox:
         if not 1 <= kind <= len(KINDS):
             raise InputError(f"kind {kind} of its inputs, allowed: 1 to {len(KINDS)}")
         exponent[name] = int(part["exponent"])
-        unit, frame = units.get(split_name(name)[0], ("", ""))
+        unit, frame = units.get(name, ("", ""))
         fields.append(ObservedField(name, int(part["size"]), unit, frame, 2.0 ** exponent[name]))
-        scaled_fields += [split_name(name)[0]] if KINDS[kind - 1] == "scaled" else []
+        scaled_fields += [name] if KINDS[kind - 1] == "scaled" else []
     return InputBox(Layout(tuple(fields)), exponent, tuple(scaled_fields))
 
 
@@ -257,4 +257,4 @@ def _input(part: np.ndarray, numbers: np.ndarray) -> Input:
     rows = numbers[index : index + size] if index >= 0 else numbers[:0]
     if not len(rows) or len(rows) != size:
         raise InputError(f"{size} inputs from number {index} on, of {len(numbers)}")
-    return Input(_string(part["name"]), KINDS[part["kind"] - 1], index, rows, int(part["lag"]))
+    return Input(_string(part["name"]), KINDS[part["kind"] - 1], index, rows)

@@ -78,7 +78,6 @@ def sizes_header(policy: FixedPolicy, any_policy: bool = False) -> str:
     sizes = {
         "WIDTH": max(SMALLEST_WIDTH, -(-widest // 8) * 8),
         "STATE": policy.race.state_size,
-        "HISTORY": max(1, policy.race.history * policy.race.state_size),
     }
     lines = "".join(
         f"#ifndef QJ_MAX_{name}\n#define QJ_MAX_{name} {size}\n#endif\n"

@@ -1,7 +1,6 @@
 """The state that the exported C observes, as the environment has it."""
 
 import dataclasses
-import functools
 from typing import Any
 
 import jax
@@ -19,7 +18,7 @@ from quadjax.policy.pilot import command_ranges
 from quadjax.race import environment, episode
 from quadjax.race.layout import Layout
 from quadjax.race.observations import HIGHEST_RPM
-from quadjax.race.types import Choices, Estimate, Past, RaceParams, RaceState
+from quadjax.race.types import Choices, Estimate, RaceParams, RaceState
 from quadjax.vehicle.battery import Battery, BatteryState, battery_at_start
 from quadjax.vehicle.protocol import State, VehicleModel
 
@@ -57,45 +56,32 @@ def _attitude(values: dict[str, list[jax.Array]], as_quaternion: bool) -> list[j
     return values["quaternion" if as_quaternion else "euler"]
 
 
-def observe(
-    race: PolicyRace, states: np.ndarray, targets: np.ndarray, earlier: np.ndarray | None = None
-) -> np.ndarray:
+def observe(race: PolicyRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """Observations (n, inputs) float32 of states (n, state_size) towards targets (n,).
 
-    They are in the scaling that the policy was trained with. Where a history is observed,
-    ``earlier`` has the rows (n, depth) of the states of 1, 2 .. steps before; by default the states
-    are those of one flight from its start on.
+    They are in the scaling that the policy was trained with.
     """
-    choices, params = race.choices, race.params
-    model, depth = choices.model, choices.layout.depth
-    if earlier is None:
-        earlier = np.maximum(np.arange(len(states))[:, None] - 1 - np.arange(depth), 0)
+    choices, params, model = race.choices, race.params, race.choices.model
     example, sizes = example_state(choices, params), state_sizes(choices.layout, model)
     low, high = command_ranges(choices, params)
 
-    def known(state: jax.Array) -> Past:
-        last = _by_name(sizes, state).get(LAST_COMMAND, [])
-        triples = zip(last, low, high, strict=False)
-        action = tuple((2.0 * x - lowest - top) / (top - lowest) for x, lowest, top in triples)
-        return Past(drone_of(choices.layout, model, example, state), action or None)
-
     @jax.jit
-    @functools.partial(jax.vmap, in_axes=(0, 0, 0, None))
-    def observed(
-        state: jax.Array, target: jax.Array, rows: jax.Array, all_: jax.Array
-    ) -> jax.Array:
-        zero, now = jnp.zeros((), jnp.int32), known(state)
-        past = jax.vmap(known)(all_[rows]) if depth else None
+    @jax.vmap
+    def observed(state: jax.Array, target: jax.Array) -> jax.Array:
+        zero, numbers = jnp.zeros((), jnp.int32), _by_name(sizes, state)
+        drone = drone_of(choices.layout, model, example, state)
+        triples = zip(numbers.get(LAST_COMMAND, []), low, high, strict=False)
+        action = tuple((2.0 * x - lowest - top) / (top - lowest) for x, lowest, top in triples)
         estimate = None
         if params.estimator is not None and model.disturbed:
-            estimate = Estimate(None, *now.drone.disturbance)
-        race_state = RaceState(now.drone, target, zero, zero, None, estimate, now.action, past=past)
+            estimate = Estimate(None, *drone.disturbance)
+        race_state = RaceState(drone, target, zero, zero, None, estimate, action or None)
         if params.battery is not None and HIGHEST_RPM in sizes:
-            (highest,) = _by_name(sizes, state)[HIGHEST_RPM]
+            (highest,) = numbers[HIGHEST_RPM]
             race_state = race_state.replace(battery=_battery(params.battery, highest))
         return pilot.see(race.pilot, environment.observe(choices, params, race_state))
 
-    return np.asarray(observed(states, targets, earlier, states))
+    return np.asarray(observed(states, targets))
 
 
 def observe_float64(race: PolicyRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray:

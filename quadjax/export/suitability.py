@@ -19,6 +19,7 @@ from quadjax.export.targets import (
     calls_per_step,
     find_target,
 )
+from quadjax.race.layout import LAST_ACTION
 from quadjax.vehicle.registry import MODELS
 
 
@@ -75,7 +76,7 @@ def check_target(target: Target, network: FixedNetwork, race: RaceTables) -> Non
         )
     if target.name == "indiflight" and race.gates > MOST_GATES:
         raise InputError(f"{start}: {race.gates} gates, allowed: {MOST_GATES}")
-    held = race.box.layout.counts_steps
+    held = LAST_ACTION in race.box.layout
     if target.calls and held and not calls_per_step(target.calls, race.time_step):
         raise InputError(
             f"{start}: the time step is {race.time_step:g} s, allowed: whole periods of "

@@ -8,13 +8,13 @@ generated from it. The words have 32 bits, little-endian, and follow each other:
 - the state: for each field, ``field``: code (``qj_field`` in ``qj.h``), first number, size; then
   for each number the exponent e of its range 2^e;
 - the observation: for each field, ``part``: kind (1 position, 2 velocity, 3 attitude, 4 rotation,
-  5 copied, 6 scaled, 7 of the gate), first input, size, exponent, lag, name; then for each input,
+  5 copied, 6 scaled, 7 of the gate), first input, size, exponent, name; then for each input,
   ``input``: source, middle, factor, shift;
 - for each gate, ``gate``: position, axes, cosine, sine, size, round, yaw; and constants;
 - weights and biases of each layer, in blocks of four rows: the four weights of column 0, of column
   1, and so on; columns, and rows of hidden layers, are padded with zeros to a multiple of 8;
 - ``estimator`` of disturbances and ``battery``, of the highest rpm, if the header says so;
-- ``noise``, in version 3, for policies that sample their actions;
+- ``noise``, in version 5, for policies that sample their actions;
 - self-tests: inputs and commands, states and inputs, samples of the estimators;
 - a CRC-32 of everything before it.
 
@@ -33,7 +33,7 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.export.battery import MOTORS
-from quadjax.export.cases import HISTORY_ROUNDS, MEASUREMENTS, SAMPLES, Cases, Tables
+from quadjax.export.cases import MEASUREMENTS, SAMPLES, Cases, Tables
 from quadjax.export.disturbances import CHANNELS, FINE_BITS, MONOMIALS, EstimatorTables
 from quadjax.export.integers import WORD
 from quadjax.export.names import LONGEST_NAME
@@ -49,8 +49,8 @@ from quadjax.export.race_tables import (
 )
 from quadjax.export.targets import COMMAND_KINDS, RATES, STATE_FIELDS
 
-MAGIC, VERSION, COMMANDS = 0x00504A51, 2, 4
-SAMPLED_VERSION = 3  # of words with the section ``noise``
+MAGIC, VERSION, COMMANDS = 0x00504A51, 4, 4
+SAMPLED_VERSION = 5  # of words with the section ``noise``
 NAME_BYTES, FIELD_BYTES = LONGEST_NAME + 1, 24
 BLOCK = 4  # rows of a block of weights
 TURN = 8  # columns, and rows of a hidden layer, are padded to a multiple of this
@@ -72,13 +72,13 @@ STRUCTS = {
     "header": _struct(
         *("magic", "version", "bytes", "inputs", "layers", "state_size", "fields", "parts"),
         *("gates", "constants", "world_box", "kind", "output_shift", "fraction_bits"),
-        *("period_ns", "network_tests", "race_tests", ("history_digest", "<u4")),
+        *("period_ns", "network_tests", "race_tests"),
         *("estimator", "battery", ("source", "<u4", 8), ("name", "<u4", NAME_BYTES // 4)),
         *(("vehicle", "<u4", 4), ("low", "<i4", COMMANDS), ("high", "<i4", COMMANDS)),
     ),
     "layer": _struct("rows", "columns"),
     "field": _struct("code", "start", "size"),
-    "part": _struct("kind", "index", "size", "exponent", "lag", ("name", "<u4", FIELD_BYTES // 4)),
+    "part": _struct("kind", "index", "size", "exponent", ("name", "<u4", FIELD_BYTES // 4)),
     "input": NUMBER,
     "gate": _struct(
         *(("position", "<i4", 3), ("axes", "<i4", 9), "cosine", "sine"),
@@ -139,8 +139,7 @@ def layout_header() -> str:
     values |= {"yaw_exponent": YAW_EXPONENT}
     values |= {"quaternion_exponent": QUATERNION_EXPONENT, "fine_bits": FINE_BITS}
     values |= {"battery_bits": 40, "test_rows": MEASUREMENTS, "test_samples": SAMPLES}
-    values |= {"history_rounds": HISTORY_ROUNDS, "measurements": 13}
-    values |= {"monomials": len(MONOMIALS), "channels": len(CHANNELS)}
+    values |= {"measurements": 13, "monomials": len(MONOMIALS), "channels": len(CHANNELS)}
     values |= {f"see_{kind}": number for number, kind in enumerate(KINDS, start=1)}
     for name, struct in STRUCTS.items():
         places = {f"{name}_{field}": at // 4 for field, at in _places(struct).items()}
@@ -217,7 +216,6 @@ def _parts(policy: FixedPolicy) -> Iterator[np.ndarray]:
         period_ns=round(race.time_step * 1e9),
         network_tests=len(cases.inputs),
         race_tests=len(cases.states),
-        history_digest=cases.history_digest,
         estimator=policy.estimator is not None,
         battery=policy.battery is not None,
         source=np.frombuffer(bytes.fromhex(policy.policy_hash), "<u4"),
@@ -259,7 +257,6 @@ def _observation(race: RaceTables) -> Iterator[np.ndarray]:
         kind=[1 + KINDS.index(part.kind) for part in parts],
         index=[part.index for part in parts],
         size=[len(part.numbers) for part in parts],
-        lag=[part.lag for part in parts],
         exponent=[race.box.exponent[part.name] for part in parts],
         name=[_text(part.name, FIELD_BYTES) for part in parts],
     )

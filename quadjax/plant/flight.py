@@ -17,7 +17,6 @@ from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.policy.pilot import Pilot, fly
 from quadjax.race import environment, laps
 from quadjax.race.episode import hover, no_action
-from quadjax.race.layout import begin_past, push_past
 from quadjax.race.rewards import clipped_action
 from quadjax.race.rules import evaluate_rules
 from quadjax.race.track import gate, gate_count
@@ -77,10 +76,7 @@ def begin(plan: Plan, key: jax.Array) -> Drones:
         state = plant.begin(plan.plant, body, left, first)
         computers = onboard.begin(plan.onboard, plan.plant, state, rest)
         zero, action = jnp.zeros((), jnp.int32), no_action(plan.choices, plan.race)
-        observed = _known_motion(plan, computers)
-        race = RaceState(body, zero, zero, zero, None, action=action)
-        past = begin_past(plan.choices.layout, race.replace(drone=observed))
-        return race.replace(past=past), state, computers
+        return RaceState(body, zero, zero, zero, None, action=action), state, computers
 
     of_noise, of_charge = jax.random.split(key)
     count = gusts.START_DRAWS + sensors.START_DRAWS
@@ -150,14 +146,11 @@ def _known_motion(plan: Plan, computers: OnboardState) -> RigidBodyState:
     return RigidBodyState(motion.position, motion.velocity, motion.euler, motion.rates, thrust)
 
 
-def remember(plan: Plan, before: Drones, drones: Drones, action: jax.Array) -> Drones:
-    """One drone after a control step, with what the policy observes of the step itself."""
-    state = before.race.state
-    observed = state.replace(drone=_known_motion(plan, before.onboard))
-    past = push_past(state.past, observed)
+def remember(drones: Drones, action: jax.Array) -> Drones:
+    """One drone after a control step, with its action where the policy observes it."""
+    state = drones.race.state
     clipped = None if state.action is None else clipped_action(action)
-    after = drones.race.state.replace(past=past, action=clipped)
-    return drones.replace(race=drones.race.replace(state=after))
+    return drones.replace(race=drones.race.replace(state=state.replace(action=clipped)))
 
 
 @functools.partial(jax.jit, static_argnames="steps")
@@ -182,7 +175,7 @@ def advance(plan: Plan, steps: int, drones: Drones, key: jax.Array) -> tuple[Dro
         following, rotors = hold(plan, drones, command, of_plant)
         recorded = jax.tree.map(lambda x: x[..., : plan.recorded], (drones, command, rotors))
         frame = jax.vmap(frame_of, (None, -1, -1, -1), -1)(plan, *recorded)
-        return jax.vmap(remember, (None, -1, -1, 0), -1)(plan, drones, following, action), frame
+        return jax.vmap(remember, (-1, 0), -1)(following, action), frame
 
     return jax.lax.scan(control, drones, jax.random.split(key, steps))
 

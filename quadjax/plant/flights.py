@@ -24,7 +24,7 @@ from quadjax.policy.pilot import fit_race, make_pilot
 from quadjax.race import laps
 from quadjax.race.environment import exact_rules
 from quadjax.race.laps import Laps, time_limit
-from quadjax.race.layout import Layout
+from quadjax.race.layout import LAST_ACTION, Layout
 from quadjax.race.track import GateSection
 from quadjax.vehicle.battery import middle_limit
 from quadjax.vehicle.motor import MotorConstants, hover_rpm
@@ -174,7 +174,7 @@ def check_drone(plant: PlantConfig, model: MotorConstants) -> None:
 
 
 def check_steps(layout: Layout, training_step: float, step: float) -> None:
-    """Check that a policy that observes earlier steps flies in steps of its training.
+    """Check that a policy that observes its last action flies in steps of its training.
 
     Args:
         layout: of the policy.
@@ -182,12 +182,12 @@ def check_steps(layout: Layout, training_step: float, step: float) -> None:
         step: of the control loop, s.
 
     Raises:
-        InputError: a history or a last action, and another step.
+        InputError: an observed last action, and another step.
     """
-    if layout.counts_steps and abs(step / training_step - 1.0) > SAME_STEP:
+    if LAST_ACTION in layout and abs(step / training_step - 1.0) > SAME_STEP:
         raise InputError(
-            f"the policy observes earlier steps of {training_step:g} s, the drone's control steps "
-            f"are {step:g} s: add control_rate={1.0 / training_step:g}"
+            f"the policy observes the action of the step before, of {training_step:g} s, the "
+            f"drone's control steps are {step:g} s: add control_rate={1.0 / training_step:g}"
         )
 
 

@@ -21,7 +21,7 @@ from quadjax.core.traced import with_leaves
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams, act_sampled
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
-from quadjax.race.layout import Layout, delayed, split_name
+from quadjax.race.layout import Layout
 from quadjax.race.observation_config import NONE, Observation
 from quadjax.race.observations import DISTURBANCES, fields_of
 from quadjax.race.types import Choices, RaceParams
@@ -85,10 +85,6 @@ def _arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) ->
     if model.actuators.name not in layout:  # of a drone that does not measure them
         del fields[model.actuators.name]
     fields |= {field.name: field for field in layout.fields}
-    for base, lag in map(split_name, wanted.names):
-        if lag and base in fields and fields[base].has_history:
-            past = delayed(fields[base], lag)
-            fields[past.name] = past
     for field in wanted.fields:
         if field.name not in fields or fields[field.name].size != field.size:
             raise InputError(

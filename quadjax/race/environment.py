@@ -20,7 +20,6 @@ from quadjax.core.materialize import materialize, materialize_cotangent, materia
 from quadjax.core.sharing import bound, cached
 from quadjax.core.traced import with_leaves
 from quadjax.race.episode import reset
-from quadjax.race.layout import push_past
 from quadjax.race.rewards import clipped_action, reward
 from quadjax.race.rules import NOT_FINITE, evaluate_rules
 from quadjax.race.track import gate, gate_count
@@ -103,7 +102,6 @@ def transition(
         battery=battery,
         estimate=_estimate(choices, params, state, drone),
         action=None if state.action is None else clipped_action(action),
-        past=push_past(state.past, state),
     )
     return following, value, outcome
 

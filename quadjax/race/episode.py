@@ -11,7 +11,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.layout import LAST_ACTION, begin_past, split_name
+from quadjax.race.layout import LAST_ACTION
 from quadjax.race.track import (
     Gate,
     Track,
@@ -249,23 +249,18 @@ def _begin(
 ) -> RaceState:
     zero, action = jnp.zeros((), jnp.int32), no_action(choices, params)
     state = RaceState(drone, target, zero, zero, constants, action=action, battery=battery)
-    return with_memory(choices, params, state)
+    return with_estimate(choices, params, state)
 
 
 def no_action(choices: Choices, params: RaceParams) -> tuple[jax.Array, ...] | None:
     """The action before the first, where the observation or the reward needs it."""
-    observed = LAST_ACTION in (split_name(name)[0] for name in choices.layout.names)
-    if not observed and params.reward.action_change is None:
+    if LAST_ACTION not in choices.layout and params.reward.action_change is None:
         return None
     return tuple(jnp.zeros(()) for _ in range(choices.model.action_size))
 
 
-def with_memory(choices: Choices, params: RaceParams, state: RaceState) -> RaceState:
-    """The state with a new estimate of the disturbance and a history full of this state.
-
-    Each where the race has one.
-    """
-    state = state.replace(past=begin_past(choices.layout, state))
+def with_estimate(choices: Choices, params: RaceParams, state: RaceState) -> RaceState:
+    """The state with a new estimate of the disturbance, where the race has one."""
     if params.estimator is None:
         return state
     measured = choices.model.measure(params.vehicle_of(state), state.drone)

@@ -1,10 +1,9 @@
-"""Layouts: the named fields of an observation, in order; their numbers, history and files.
+"""Layouts: the named fields of an observation, in order; their numbers and files.
 
 The config section that selects the fields is in ``quadjax.race.observation_config``.
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Self
 
@@ -16,14 +15,13 @@ from quadjax.core.errors import InputError
 from quadjax.core.imports import user_numbers
 from quadjax.core.sections import LARGEST, Section, model_validator, validate
 from quadjax.core.sections import Field as Key
-from quadjax.race.types import Past, RaceParams, RaceState, Step
+from quadjax.race.types import RaceParams, Step
 from quadjax.vehicle.protocol import VehicleModel
 
 Numbers = Sequence[jax.Array]  # each ()
 Number = Annotated[float, Key(ge=-LARGEST, le=LARGEST)]
 Bounds = tuple[Any, Any]  # pytrees of scalars: lowest (None: minus the highest) and highest
 LAST_ACTION = "last_action"
-MARK, LONGEST = "@", 64  # between a field's name and the number of steps before; the most steps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,8 +39,6 @@ class ObservedField:
             None is minus the highest, and a range of zero width gives zero. None: not scaled.
         source: where the numbers of a disturbance come from: ground_truth, estimated or none.
         span: the numbers of ``scale``, one pair for each; None where unknown or not scaled.
-        has_history: whether it depends on the vehicle's motion and actions alone, so that it may be
-            observed as it was in earlier steps.
     """
 
     name: str
@@ -54,7 +50,6 @@ class ObservedField:
     scale: Callable[[VehicleModel, RaceParams], Bounds] | None = None
     source: str = ""
     span: tuple[tuple[float, float], ...] | None = None
-    has_history: bool = False
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -127,16 +122,6 @@ class Layout:
         """A name for each number."""
         return tuple(label for field in self.fields for label in field.labels)
 
-    @property
-    def depth(self) -> int:
-        """The number of earlier steps of which the fields need the states; 0: none."""
-        return max((split_name(name)[1] for name in self.names), default=0)
-
-    @property
-    def counts_steps(self) -> bool:
-        """Whether a field is of an earlier step: a history, or the last action."""
-        return any(lag or name == LAST_ACTION for name, lag in map(split_name, self.names))
-
     def __contains__(self, name: str) -> bool:
         return name in self.names
 
@@ -182,42 +167,3 @@ class Layout:
         if len(set(layout.names)) != len(layout.names):
             raise InputError(f"{where}: two fields have the same name")
         return layout
-
-
-def split_name(name: str) -> tuple[str, int]:
-    """The name of a field, and how many steps before it is meant: ``("velocity", 5)``; 0: now."""
-    base, _, lag = name.rpartition(MARK)
-    if not base or not lag.isdecimal() or not 1 <= int(lag[:6]) <= LONGEST:
-        return name, 0
-    return base, int(lag)
-
-
-# The history: what the last observations were computed from.
-
-
-@functools.cache
-def delayed(field: ObservedField, lag: int) -> ObservedField:
-    """A field as it was ``lag`` steps before."""
-    value = field.value
-    assert value is not None, field.name
-
-    def earlier(step: Step) -> Numbers:
-        past = jax.tree.map(lambda x: x[lag - 1], step.state.past)
-        state = step.state.replace(drone=past.drone, action=past.action)
-        return value(dataclasses.replace(step, state=state))
-
-    return dataclasses.replace(field, name=f"{field.name}{MARK}{lag}", value=earlier)
-
-
-def begin_past(layout: Layout, state: RaceState) -> Past | None:
-    """A history that is full of one state; None where no field needs one."""
-    past, size = Past(state.drone, state.action), layout.depth
-    return jax.tree.map(lambda x: jnp.full((size,), x), past) if size else None
-
-
-def push_past(past: Past | None, state: RaceState) -> Past | None:
-    """The history one step later, with the state (and the action before it) of the step."""
-    if past is None:
-        return None
-    now = Past(state.drone, state.action)
-    return jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), past, now)

@@ -10,29 +10,6 @@ ESTIMATED: Source = "estimated"
 NONE: Source = "none"
 
 
-class History(Section):
-    """Fields of the observation that are also observed as they were in earlier steps."""
-
-    fields: tuple[str, ...] = Field(
-        (),
-        max_length=6,
-        description="names of observed fields: position, velocity, attitude (or rotation), rates, "
-        "actuators (or their own name: rpm, rotor_speed, thrust), or last_action",
-    )
-    steps: int = Field(4, ge=1, le=16, description="number of earlier values of each")
-    every: int = Field(
-        4,
-        ge=1,
-        le=16,
-        description="control steps from one to the next; steps * every is at most 64",
-    )
-
-    @property
-    def lags(self) -> tuple[int, ...]:
-        """Age in steps of each earlier value, the latest first."""
-        return tuple(self.every * (i + 1) for i in range(self.steps))
-
-
 class Observation(Section):
     """What the policy observes."""
 
@@ -71,17 +48,6 @@ class Observation(Section):
     wrap_next_yaw: bool = Field(
         True,
         description="wrap the next gate's relative yaw to +-180 deg; the authors' code does not",
-    )
-    history: History | None = Field(
-        None,
-        description="earlier values that are observed too: {fields: [rates, rpm], steps: 4, "
-        "every: 4} for those of 4, 8, 12 and 16 steps before; at a start, the first ones; null: "
-        "none",
-    )
-    constants: bool = Field(
-        False,
-        description="the policy observes the constants of the drone that randomization draws: for "
-        "drones whose constants are known",
     )
     critic_constants: bool = Field(
         False,

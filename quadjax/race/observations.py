@@ -3,10 +3,6 @@
 Sizes, slices, scaling, the conversion between two policies' scalings and the ranges of the exported
 code derive from the ``Layout``. The default one is that of Ferede et al. (arXiv 2311.16948): 24
 numbers for the motor-level vehicle, 17 for the rate-level one.
-
-A field of the history, ``velocity@5``, is the field ``velocity`` of the state of 5 steps before,
-seen from the present target gate: all fields of an observation have one frame, also in the steps
-after a gate. At the start of an episode all earlier states are the first one.
 """
 
 import functools
@@ -18,16 +14,15 @@ import jax.numpy as jnp
 from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
 from quadjax.core.vectors import Vec3, between
-from quadjax.race.layout import LAST_ACTION, Bounds, Layout, Numbers, ObservedField, delayed
+from quadjax.race.layout import LAST_ACTION, Bounds, Layout, Numbers, ObservedField
 from quadjax.race.observation_config import ESTIMATED, NONE, PUBLISHED, Observation, Source
 from quadjax.race.track import Span, gates_ahead, pick, to_gate_frame, unwrapped_turns
 from quadjax.race.types import RaceParams, Step
 from quadjax.vehicle.battery import LOWEST, highest_rpm
 from quadjax.vehicle.protocol import VehicleModel
 
-HIGHEST_RPM, CONSTANTS = "highest_rpm", "constants"
+HIGHEST_RPM = "highest_rpm"
 AHEAD = range(2, 5)  # gates after the target that may be observed, with the next one
-ACTUATORS = "actuators"  # in a history: the field of the model's actuators, whatever its name
 
 # Values: functions of the step, whose state and gate are those that are observed.
 
@@ -99,16 +94,6 @@ def _last_action(step: Step) -> Numbers:
     return [between(*x) for x in zip(low, high, step.state.action, strict=True)]
 
 
-def _constants(step: Step) -> Numbers:
-    """Every constant of the drone, in the model's order and its units.
-
-    A drone that differs from its model (``vehicle.mismatch``) shows those of the model.
-    """
-    constants, nominal = step.state.constants, step.params.vehicle.constants
-    unknown = constants is None or step.params.mismatch is not None
-    return jax.tree.leaves(nominal if unknown else constants)
-
-
 def _disturbance(source: Source, step: Step) -> tuple[Vec3, Vec3]:
     """The external moment, N m, and specific force, m/s^2, body, as they are observed."""
     if source == ESTIMATED:
@@ -149,20 +134,6 @@ def _limit_range(model: VehicleModel, params: RaceParams) -> Bounds:
     return (LOWEST * highest,), (highest,)
 
 
-def _constant_range(model: VehicleModel, params: RaceParams) -> Bounds:
-    """The nominal constants minus and plus the drawn differences.
-
-    Of a population, whose limits are not known, the constants minus and plus their size.
-    """
-    nominal = jax.tree.leaves(params.vehicle.constants)
-    widths = [jnp.abs(x) for x in nominal]
-    if params.population_width is None:
-        spread = jax.tree.leaves(params.randomization)
-        widths = [width * part for width, part in zip(widths, spread, strict=True)]
-    pairs = list(zip(nominal, widths, strict=True))
-    return tuple(x - width for x, width in pairs), tuple(x + width for x, width in pairs)
-
-
 def _actuator_range(span: Span | None, model: VehicleModel, params: RaceParams) -> Bounds:
     if span is None:
         return model.actuator_range(params.vehicle.constants)
@@ -191,12 +162,12 @@ def fields_of(
     limit = bind(_highest_rpm, observed.highest_rpm)
     span = bind(_actuator_range, observed.actuator_range)
     table = [
-        field("position", 3, "m", "gate", 8.0, _position, has_history=True),
-        field("velocity", 3, "m/s", "gate", 16.0, _velocity, has_history=True),
-        field("attitude", 3, "rad", "gate", 4.0, _attitude, has_history=True),
-        field("rotation", 6, "", "gate", 2.0, _rotation, has_history=True),
-        field("rates", 3, "rad/s", "body", 16.0, _rates, has_history=True),
-        field(*model.actuators, "body", 2.0, _actuators, span, has_history=True),
+        field("position", 3, "m", "gate", 8.0, _position),
+        field("velocity", 3, "m/s", "gate", 16.0, _velocity),
+        field("attitude", 3, "rad", "gate", 4.0, _attitude),
+        field("rotation", 6, "", "gate", 2.0, _rotation),
+        field("rates", 3, "rad/s", "body", 16.0, _rates),
+        field(*model.actuators, "body", 2.0, _actuators, span),
         field("next_position", 3, "m", "gate", 8.0, _next_position),
         field("next_yaw", 1, "rad", "gate", 4.0, _next_yaw),
         field("next_yaw_unwrapped", 1, "rad", "gate", 8.0, _next_yaw_unwrapped),
@@ -205,13 +176,11 @@ def fields_of(
         place, yaw = bind(_position_beyond, count), bind(_yaw_beyond, count)
         table.append(field(f"next{count}_position", 3, "m", "gate", 16.0, place))
         table.append(field(f"next{count}_yaw", 1, "rad", "gate", 4.0, yaw))
-    action, constants = model.action_size, len(model.constant_names)
     table += [
-        field(LAST_ACTION, action, "", "", 1.0, _last_action, _command_range, has_history=True),
+        field(LAST_ACTION, model.action_size, "", "", 1.0, _last_action, _command_range),
         field("moment_ext", 3, "N m", "body", 2.0, bind(_moment, source), moment, source),
         field("force_ext", 1, "m/s^2", "body", 2.0, bind(_force_z, source), force, source),
         field(HIGHEST_RPM, 1, "rpm", "body", 2.0, limit, _limit_range),
-        field(CONSTANTS, constants, "", "", 8.0, _constants, _constant_range),
     ]
     return {row.name: row for row in table}
 
@@ -231,7 +200,6 @@ def _conditions(
         LAST_ACTION: observed.last_action,
         **dict.fromkeys(DISTURBANCES, model.disturbed),
         HIGHEST_RPM: battery and observed.highest_rpm != NONE,
-        CONSTANTS: observed.constants,
     }
 
 
@@ -243,31 +211,16 @@ def make_layout(
 ) -> Layout:
     """The observation of a vehicle model in the race; by default that of the publication.
 
-    It has the fields of ``fields_of`` that ``observed`` asks for, then the history. ``extra``
-    are the objects that ``observed.extra`` names, loaded; they are at the end. The limit of a
-    ``battery`` is observed where there is one.
+    It has the fields of ``fields_of`` that ``observed`` asks for. ``extra`` are the objects that
+    ``observed.extra`` names, loaded; they are at the end. The limit of a ``battery`` is observed
+    where there is one.
 
     Raises:
         InputError: two fields of one name.
     """
     fields, used = fields_of(model, observed), _conditions(model, observed, battery)
     now = [field for name, field in fields.items() if used.get(name, True)]
-    past = []
-    for lag in observed.history.lags if observed.history else ():
-        for name in observed.history.fields if observed.history else ():
-            field = model.actuators.name if name == ACTUATORS else name
-            past.append(delayed(fields[field], lag))
-    layout = Layout((*now, *past, *extra))
+    layout = Layout((*now, *extra))
     if len(set(layout.names)) != len(layout.fields):
         raise InputError(f"observation fields {', '.join(layout.names)}: two have the same name")
     return layout
-
-
-def history_names(model: VehicleModel, observed: Observation) -> list[str]:
-    """The fields of which a history can be observed.
-
-    They are the observed ones of the vehicle's motion, and its actuators and actions in any case.
-    """
-    used = _conditions(model, observed) | {model.actuators.name: True, LAST_ACTION: True}
-    fields = fields_of(model, observed).items()
-    return [*(x for x, field in fields if field.has_history and used.get(x, True)), ACTUATORS]

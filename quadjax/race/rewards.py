@@ -11,7 +11,6 @@ from quadjax.core.gradients import Scalar
 from quadjax.core.imports import user_numbers
 from quadjax.core.sections import Code, Field, Section, Unit
 from quadjax.core.traced import UnusedAtZero, register
-from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.rules import HIT_A_GATE
 from quadjax.race.track import Gate, to_gate_frame, to_opening_frame
@@ -61,15 +60,6 @@ class Reward(Section):
     action_change: Annotated[Penalty, UnusedAtZero()] = Field(
         0.0,
         description="penalty per change of an action from step to step, each in -1 to 1, summed",
-    )
-    perception: Annotated[Penalty, Unit("1/s"), UnusedAtZero()] = Field(
-        0.0,
-        description="penalty per s and rad of the angle between the camera's axis and the target "
-        "gate's center beyond perception_deg",
-    )
-    perception_deg: float = Field(60.0, ge=0, le=180, description="angle without penalty, deg")
-    camera_deg: float = Field(
-        0.0, ge=-90, le=90, description="upward tilt of the camera's axis from the body's x, deg"
     )
     overspeed: Penalty = Field(
         20.0,
@@ -145,23 +135,6 @@ def action_change(step: Step) -> jax.Array:
     return -functools.reduce(jnp.add, changes)
 
 
-def perception(step: Step) -> jax.Array:
-    """Minus the angle () beyond its limit between the camera's axis and the gate's center, rad.
-
-    The axis is ``(cos c, 0, -sin c)`` in the body frame, with the camera's tilt ``c``. A step that
-    passes the gate has none.
-    """
-    weights = step.params.reward
-    to_gate = step.drone.to_body(step.gate.position - step.position)
-    tilt, limit = jnp.radians(weights.camera_deg), jnp.radians(weights.perception_deg)
-    cosine, sine = jnp.cos(tilt), jnp.sin(tilt)
-    along = cosine * to_gate.x - sine * to_gate.z
-    aside = Vec3(to_gate.y, sine * to_gate.x + cosine * to_gate.z, jnp.zeros_like(to_gate.y))
-    angle = arctan2(safe_norm(aside), along)
-    assert step.outcome is not None
-    return jnp.where(step.outcome.passed, 0.0, -jnp.maximum(angle - limit, 0.0))
-
-
 def overspeed(step: Step) -> Scalar:
     """Minus the speed () above the margin below the speed limit, m/s, times ``progress``'s weight.
 
@@ -197,7 +170,6 @@ REWARDS: dict[str, Term] = {  # by the name of the weight, a field of ``Reward``
     "time": Term(lambda step: -1.0, "per second"),
     "body_rates": Term(lambda step: -safe_norm(step.body_rates), "per second"),
     "pitch_up": Term(lambda step: -step.euler.y, "per second"),
-    "perception": Term(perception, "per second"),
     "distance": Term(lambda step: -step.distance, "per second"),
     "overspeed": Term(overspeed, "per second"),
 }

@@ -105,13 +105,6 @@ class Estimate(struct.PyTreeNode):
     force: Vec3  # m/s^2, body
 
 
-class Past(struct.PyTreeNode):
-    """Earlier states of one drone, the latest first."""
-
-    drone: State  # of the vehicle model, each leaf (depth,)
-    action: tuple[jax.Array, ...] | None  # of the step before each, (depth,), where it is observed
-
-
 class RaceState(struct.PyTreeNode):
     """One drone in its race."""
 
@@ -124,7 +117,6 @@ class RaceState(struct.PyTreeNode):
     action: tuple[jax.Array, ...] | None = None  # of the step before, each (), where it is used
     battery: BatteryState | None = None  # where the race has one
     track: Track | None = None  # of this episode, where it is drawn; else None
-    past: Past | None = None  # where a history is observed
 
 
 class Outcome(struct.PyTreeNode):

@@ -230,9 +230,6 @@ rules.body_radius=19 | overrides: rules.body_radius is 19.0, allowed: below 0.5,
 'track.gates=[{position: [0, 0, -2], pitch_deg: -90}]' rules.gate_test=world_box | square, because
 'track.gates=[{position: [0, 0, -2], size: [2, 1], shape: circle}]' | of a circle
 'rules.body_rate_limit=[20, 20]' | body_rate_limit
-'observation.history={}' | fields is [], allowed: one or more of position, velocity,
-'observation.history={fields: [rpm, actuators]}' | each once
-'observation.history={fields: [rpm], steps: 16, every: 5}' | steps is 16, allowed: at most 12
 track.generate=3 | track.generate is 3, allowed: a mapping
 'track.generate.leg=[5, 3]' | leg is [5, 3], allowed: [lowest, highest]
 'track.generate.leg=[1, 2]' | leg is [1.0, 2.0], allowed: a longest of at least
@@ -242,8 +239,6 @@ track.generate.turn_deg=20 | found no track with gates 8, leg [3.0, 8.0] and tur
 track.generate.seed=1 track.closed=false | track.closed has no effect
 track=square4 track.generate.seed=1 | track.gates has no effect
 track.generate.seed=1 rules.position_limit=3 | track.gates[0].position is
-observation.constants=true | observation.constants is true, allowed: false where ra
-randomization.thrust=0.2 'observation={constants: true, critic_constants: true}' | false with observ
 observation.critic_constants=true | critic_constants is true, allowed: false where rand
 randomization.all=0.2 randomization.width=0 observation.critic_constants=true | critic_constants is
 track.closed=false 'track.start={position: [0, 0, -1]}' 'evaluate={laps: 1, gates: 3}' | null with

@@ -30,16 +30,15 @@ from quadjax.training.build import first_params, policy_of
 from quadjax.vehicle.residual import write_residual
 from tests import reference as ref
 from tests.convert import residual_of
-from tests.frozen.c_code import LAYOUTS, MORE, history
+from tests.frozen.c_code import LAYOUTS, MORE
 
 BATTERY = "battery.charge=[0.1, 1.0]"
-EARLIER = history("position, velocity, attitude, rates, rpm, last_action", 9)
 RANDOM_TRACK = "track.generate.seed=1"
 RACES = {  # preset, overrides
     "e2e": ("e2e +disturbance", ()),
     "indi": ("indi", ()),
     "battery": ("e2e", (BATTERY, "observation.disturbance=none")),
-    "everything": ("e2e +disturbance", (EARLIER, *MORE, BATTERY)),
+    "everything": ("e2e +disturbance", (*MORE, BATTERY)),
     "half turns": ("e2e_race", ("vehicle=5inch", "track=figure8_tudelft")),
 }
 RACES |= {name: (preset, (*more, RANDOM_TRACK)) for name, (preset, more) in LAYOUTS.items()}

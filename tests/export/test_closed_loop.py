@@ -20,7 +20,7 @@ from quadjax.sil.run import Setting, fly_all
 from quadjax.sil.source import ExportedC
 from tests.export.support import converted_in
 
-RACER = Path(__file__).parent / "racer.npz"  # of the 5-inch drone: no rotor speeds, a history
+RACER = Path(__file__).parent / "racer.npz"  # of the 5-inch drone, without rotor speeds
 PERIOD = 0.002  # s, of the plant's control loop
 SANITIZERS = "-std=c99 -fsanitize=address,undefined -fno-sanitize-recover=all -g -O1".split()
 GLUES = {  # policy, target, and whether it flies on the plant

@@ -15,9 +15,9 @@ from quadjax.export.verify.toolchain import WARNINGS
 from tests.export.support import WIDE, converted_in, made
 from tests.export.words import with_flipped_weight
 
-GLUES = {  # target: race, every one of which observes earlier steps
+GLUES = {  # target: race, every one of which observes its last action
     "cortex-a9": "everything",
-    "indiflight": "racing with a history",
+    "indiflight": "racing, axes and more",
 }
 FIRMWARE_FLAGS = {  # with which the firmwares are built
     "cortex-a9": WARNINGS[:4],

@@ -56,7 +56,7 @@ POLICIES = [  # words of the message, changes of the policy, its race or its exp
     ),
     (
         "0.01 s, allowed: whole periods of 256",
-        {"name": "e2e with a history", "options": ALLOWED | {"sample_rate": 256.0}},
+        {"name": EVERYTHING, "options": ALLOWED | {"sample_rate": 256.0}},
     ),
     ("0 of 32 flights finish 6 laps of track square4 .*allow_unfinished", {"options": {}}),
 ] + [

@@ -60,5 +60,4 @@ def runtime_of(folder: Path, change: tuple[str, str, str] | None = None, *option
 def load(runtime: ctypes.CDLL, data: bytes) -> int:
     """The error of ``qj_load``."""
     words = np.frombuffer(data, np.int32).copy()
-    policy, race = (np.zeros(size, np.uint8) for size in (4096, 2**18))
-    return runtime.qj_load(*pointers(policy, race, words), len(data))
+    return runtime.qj_load(*pointers(np.zeros(4096, np.uint8), words), len(data))

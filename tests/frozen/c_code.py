@@ -21,32 +21,13 @@ RANGES = {
 FIVE_INCH = ("vehicle=5inch", "observation.actuator_range=[0, 3000]")
 AXES, LAST = "observation.attitude=rotation", "observation.last_action=true"
 MORE = ("observation.gates_ahead=2", LAST)
-
-
-def history(fields: str, every: int) -> str:
-    """The override for two earlier steps of fields."""
-    return f"observation.history={{fields: [{fields}], steps: 2, every: {every}}}"
-
-
 LAYOUTS = {  # preset, overrides
-    "e2e with a history": (
-        "e2e +disturbance",
-        (history("position, velocity, attitude, rates, rpm, last_action", 9),),
-    ),
     "racing, axes and more": ("e2e", (*FIVE_INCH, AXES, *MORE)),
     "e2e, axes and more": ("e2e +disturbance", (AXES, *MORE, "battery.charge=[0.1, 1.0]")),
     "published racing": ("e2e", FIVE_INCH),
     "published e2e": ("e2e +disturbance", ()),
     "published indi": ("indi", ()),
     "e2e with quaternions": ("e2e +disturbance", ("vehicle.quaternion=true",)),
-    "racing with a history": (
-        "e2e",
-        (*FIVE_INCH, AXES, LAST, history("position, rotation, rates, rotor_speed, last_action", 2)),
-    ),
-    "indi with a history": (
-        "indi",
-        (history("position, velocity, rates, thrust, last_action", 3),),
-    ),
     "indi and more": ("indi", ("observation.gates_ahead=3", LAST)),
 }
 TINY = ("run.devices=1", "run.steps=1", "network.hidden=[8]", "learner.num_envs=16",
@@ -106,7 +87,7 @@ int commands(const float *states, int32_t *out, uint32_t count, uint32_t *fracti
   static qj_policy policy;
   static qj_race race;
   static int32_t q[QJ_MAX_WIDTH];
-  const qj_error error = qj_load(&policy, &race, frozen_words, sizeof(frozen_words));
+  const qj_error error = qj_load(&policy, frozen_words, sizeof(frozen_words));
   if (error != QJ_OK) {
     return (int)error;
   }
@@ -115,7 +96,7 @@ int commands(const float *states, int32_t *out, uint32_t count, uint32_t *fracti
   for (uint32_t i = 0; i < count; ++i) {
     float command[4];
     (void)qj_race_update(&policy, &race, states + i * policy.state_size);
-    (void)qj_observe(&policy, &race, states + i * policy.state_size, q);
+    (void)qj_observe(&policy, race.target, states + i * policy.state_size, q);
     qj_forward(&policy, q, out + 4 * i, 0);
     qj_commands(&policy, out + 4 * i, command);
     for (int k = 0; k < 4 && policy.kind == QJ_RPM; ++k) {

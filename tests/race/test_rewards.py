@@ -23,9 +23,7 @@ ONE_TO_GO = np.linalg.norm(ref.GATES[1] - through(0, 0.03, 0.2))  # 3 cm beyond 
 def weights(**kept):
     """Weights of which all others are zero, but computed: one program for all."""
     zeros = dict.fromkeys((name for name in REWARDS if name != "action_change"), 0.0)
-    return as_leaves(
-        Reward(**(zeros | {"gate_edge_reach": 1.0} | kept)), ["perception", "distance"]
-    )
+    return as_leaves(Reward(**(zeros | {"gate_edge_reach": 1.0} | kept)), ["distance"])
 
 
 @pytest.mark.parametrize(
@@ -69,7 +67,7 @@ def test_default_reward_is_the_published_one():
     reward = make_race()[1].reward
     values = {name: getattr(reward, name) for name in REWARDS}
     unused = {name for name, x in values.items() if x is None}
-    assert unused == {"action_change", "perception", "distance"}
+    assert unused == {"action_change", "distance"}
     assert {name: float(x) for name, x in values.items() if x} == {
         "progress": 1.0,
         "gate": 10.0,

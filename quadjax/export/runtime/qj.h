@@ -18,7 +18,7 @@
 
 #include <stdint.h>
 
-#include "qj_sizes.h" /* QJ_MAX_WIDTH, QJ_MAX_STATE, QJ_MAX_HISTORY: of the largest policy */
+#include "qj_sizes.h" /* QJ_MAX_WIDTH, QJ_MAX_STATE: of the largest policy */
 
 #ifdef __cplusplus
 extern "C" {
@@ -109,7 +109,6 @@ typedef struct {
   uint32_t output_shift;
   uint32_t fraction_bits; /* commands are integers of 2^-fraction_bits */
   uint32_t period_ns;     /* of a step */
-  uint32_t history;       /* earlier states that are observed */
   uint32_t position;      /* of the first number of the position in the state */
   const int32_t *low;     /* of each command */
   const int32_t *high;
@@ -148,9 +147,6 @@ typedef struct {
   uint32_t target;     /* gate to pass next */
   uint32_t passed;
   uint32_t missed;
-  uint32_t next;   /* row of the history that the next state takes */
-  uint32_t filled; /* 0 before the first state */
-  int32_t history[QJ_MAX_HISTORY];
 } qj_race;
 
 /* Memory of the filters of external moment and force. All zero before the first update. */
@@ -170,25 +166,21 @@ typedef struct {
 } qj_battery;
 
 /* Checks all words: sizes, version, checksum, every number, the proof that no input can overflow, and
- * the self-tests, for which race is memory that is overwritten. The policy is usable only if the result
- * is QJ_OK. It takes the time of about 100 inferences. */
-qj_error qj_load(qj_policy *policy, qj_race *race, const int32_t *words, uint32_t bytes);
+ * the self-tests. The policy is usable only if the result is QJ_OK. It takes the time of about 100
+ * inferences. */
+qj_error qj_load(qj_policy *policy, const int32_t *words, uint32_t bytes);
 
 /* The name of an error, for a log. */
 const char *qj_error_name(qj_error error);
 
 /* The number of self-tests that give other integers, with the kernel of the policy. */
-uint32_t qj_self_test(const qj_policy *policy, qj_race *race);
+uint32_t qj_self_test(const qj_policy *policy);
 
 /* Whether the policy observes a field of the state. */
 uint32_t qj_observes(const qj_policy *policy, qj_field field);
 
-/* Whether the policy observes earlier steps, and so has to run at the rate of its training. */
-uint32_t qj_counts_steps(const qj_policy *policy);
-
-/* The network's inputs for a state (state_size floats), seen from the gate race->target. With a
- * history, call it exactly once a step. */
-qj_status qj_observe(const qj_policy *policy, qj_race *race, const float *state, int32_t *q);
+/* The network's inputs for a state (state_size floats), seen from the gate ``target``. */
+qj_status qj_observe(const qj_policy *policy, uint32_t target, const float *state, int32_t *q);
 
 /* Inputs of an own observation (inputs floats, in the units of the policy) as integers. */
 qj_status qj_quantize(const qj_policy *policy, const float *x, int32_t *q);

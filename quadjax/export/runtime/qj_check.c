@@ -4,7 +4,6 @@
 enum {
   MAX_SHIFT = 60, /* of a product below 2^62.6 that is rounded */
   MAX_EXPONENT = 30,
-  MAX_LAG = 4096,
   LARGEST_HIDDEN = (1 << 30) - 1
 };
 #define ACCUMULATOR ((UINT64_C(1) << 63) - (UINT64_C(1) << 30)) /* with room for a rounding half */
@@ -132,8 +131,7 @@ static qj_error check_observation(const qj_policy *policy) {
     uint32_t fine = qj_within(part[QJ_PART_KIND], QJ_SEE_POSITION, QJ_SEE_GATE) &
                     ((part[QJ_PART_INDEX] == (int32_t)next) ? 1U : 0U) &
                     qj_within(part[QJ_PART_SIZE], 1, (int32_t)(policy->inputs - next)) &
-                    qj_within(part[QJ_PART_EXPONENT], -MAX_EXPONENT, MAX_EXPONENT) &
-                    qj_within(part[QJ_PART_LAG], 0, MAX_LAG);
+                    qj_within(part[QJ_PART_EXPONENT], -MAX_EXPONENT, MAX_EXPONENT);
     if (fine == 0U) {
       return QJ_BAD_OBSERVATION;
     }

@@ -137,7 +137,6 @@ static void read_header(qj_policy *policy, const int32_t *w) {
   policy->output_shift = (uint32_t)w[QJ_HEADER_OUTPUT_SHIFT];
   policy->fraction_bits = (uint32_t)w[QJ_HEADER_FRACTION_BITS];
   policy->period_ns = (uint32_t)w[QJ_HEADER_PERIOD_NS];
-  policy->history = 0U;
   policy->position = 0U;
   policy->low = w + QJ_HEADER_LOW;
   policy->high = w + QJ_HEADER_HIGH;
@@ -196,43 +195,20 @@ static uint32_t network_test_fails(const qj_policy *policy, const int32_t *test)
   return (wrong != 0U) ? 1U : 0U;
 }
 
-static qj_status observe_test(const qj_policy *policy, qj_race *race, const int32_t *test,
-                              int32_t *q) {
+static uint32_t race_test_fails(const qj_policy *policy, const int32_t *test) {
   float state[QJ_MAX_STATE];
+  int32_t q[QJ_MAX_WIDTH];
+  const int32_t *const expected = test + policy->state_size + 1U;
+  const int32_t *const flags = expected + policy->inputs;
   for (uint32_t i = 0U; i < policy->state_size; ++i) {
     state[i] = qj_float(test[i]);
   }
-  race->target = (uint32_t)test[policy->state_size];
-  return qj_observe(policy, race, state, q);
-}
-
-/* States one after the other with their inputs; with a history, further rounds that go through all
- * of it, of which a digest is stated. */
-static uint32_t race_test_fails(const qj_policy *policy, qj_race *race, const int32_t *tests) {
-  int32_t q[QJ_MAX_WIDTH];
-  const int32_t *const w = policy->words;
-  const uint32_t size = policy->state_size + 4U + policy->inputs;
-  uint32_t digest = QJ_DIGEST_START;
-  uint32_t wrong = 0U;
-  race->next = 0U;
-  race->filled = 0U;
-  for (uint32_t round = 0U; round <= ((policy->history != 0U) ? QJ_HISTORY_ROUNDS : 0U); ++round) {
-    const int32_t *test = tests;
-    for (int32_t number = 0; number < w[QJ_HEADER_RACE_TESTS]; ++number) {
-      const int32_t *const expected = test + policy->state_size + 1U;
-      const int32_t *const flags = expected + policy->inputs;
-      const qj_status status = observe_test(policy, race, test, q);
-      uint32_t other = (status.clipped ^ (uint32_t)flags[0]) | (status.nan ^ (uint32_t)flags[1]) |
-                       (status.outside ^ (uint32_t)flags[2]);
-      for (uint32_t i = 0U; i < policy->inputs; ++i) {
-        other |= (uint32_t)(q[i] ^ expected[i]);
-        digest = (round == 0U) ? digest : qj_digest(digest, (uint32_t)q[i]);
-      }
-      wrong |= (round == 0U) ? other : 0U;
-      test += size;
-    }
+  const qj_status status = qj_observe(policy, (uint32_t)test[policy->state_size], state, q);
+  uint32_t wrong = (status.clipped ^ (uint32_t)flags[0]) | (status.nan ^ (uint32_t)flags[1]) |
+                   (status.outside ^ (uint32_t)flags[2]);
+  for (uint32_t i = 0U; i < policy->inputs; ++i) {
+    wrong |= (uint32_t)(q[i] ^ expected[i]);
   }
-  wrong |= digest ^ (uint32_t)w[QJ_HEADER_HISTORY_DIGEST];
   return (wrong != 0U) ? 1U : 0U;
 }
 
@@ -283,7 +259,7 @@ static uint32_t battery_test_fails(const qj_policy *policy, const int32_t *tests
   return (wrong != 0U) ? 1U : 0U;
 }
 
-uint32_t qj_self_test(const qj_policy *policy, qj_race *race) {
+uint32_t qj_self_test(const qj_policy *policy) {
   const int32_t *const w = policy->words;
   const int32_t *test = policy->tests;
   uint32_t mismatches = 0U;
@@ -291,8 +267,10 @@ uint32_t qj_self_test(const qj_policy *policy, qj_race *race) {
     mismatches += network_test_fails(policy, test);
     test += policy->inputs + QJ_COMMANDS + 1U;
   }
-  mismatches += race_test_fails(policy, race, test);
-  test += (uint32_t)w[QJ_HEADER_RACE_TESTS] * (policy->state_size + 4U + policy->inputs);
+  for (int32_t i = 0; i < w[QJ_HEADER_RACE_TESTS]; ++i) {
+    mismatches += race_test_fails(policy, test);
+    test += policy->state_size + 4U + policy->inputs;
+  }
   if (policy->estimator != 0) {
     mismatches += estimator_test_fails(policy, test);
     test += QJ_TEST_ROWS * 13U + QJ_TEST_SAMPLES * 6U;
@@ -328,7 +306,7 @@ static qj_error check_words(const int32_t *w, uint32_t bytes) {
   return check_counts(w);
 }
 
-qj_error qj_load(qj_policy *policy, qj_race *race, const int32_t *words, uint32_t bytes) {
+qj_error qj_load(qj_policy *policy, const int32_t *words, uint32_t bytes) {
   qj_error error = check_words(words, bytes);
   if (error == QJ_OK) {
     read_header(policy, words);
@@ -338,18 +316,13 @@ qj_error qj_load(qj_policy *policy, qj_race *race, const int32_t *words, uint32_
     error = qj_check(policy);
   }
   if (error == QJ_OK) {
-    for (uint32_t i = 0U; i < policy->parts; ++i) {
-      const uint32_t lag = (uint32_t)policy->part[QJ_PART_WORDS * i + QJ_PART_LAG];
-      policy->history = (lag > policy->history) ? lag : policy->history;
-    }
     for (uint32_t i = 0U; i < policy->fields; ++i) {
       const int32_t *const field = policy->field + QJ_FIELD_WORDS * i;
       policy->position = (field[QJ_FIELD_CODE] == QJ_POSITION) ? (uint32_t)field[QJ_FIELD_START]
                                                                : policy->position;
     }
-    error = (policy->history * policy->state_size > QJ_MAX_HISTORY) ? QJ_TOO_LARGE : QJ_OK;
   }
-  if ((error == QJ_OK) && (qj_self_test(policy, race) != 0U)) {
+  if ((error == QJ_OK) && (qj_self_test(policy) != 0U)) {
     error = QJ_BAD_SELF_TEST;
   }
   return error;

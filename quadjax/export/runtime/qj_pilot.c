@@ -98,15 +98,15 @@ const char *qj_pilot_load(qj_pilot *pilot, const int32_t *words, uint32_t bytes,
   pilot->highest_rpm[0] = 0.0F;
   pilot->estimator.started = 0U;
   pilot->battery.started = 0U;
-  const qj_error error = qj_load(&pilot->policy, &pilot->race, words, bytes);
-  qj_pilot_reset(pilot); /* the race is that of the self-tests */
+  qj_pilot_reset(pilot);
+  const qj_error error = qj_load(&pilot->policy, words, bytes);
   if (error != QJ_OK) {
     return qj_error_name(error);
   }
   if (interface->call_ns == 0U) {
     return "call_ns is 0";
   }
-  pilot->every_call = (qj_counts_steps(&pilot->policy) == 0U) ? 1U : 0U;
+  pilot->every_call = (qj_observes(&pilot->policy, QJ_LAST_COMMAND) == 0U) ? 1U : 0U;
   const uint32_t half_call_ns = interface->call_ns / 2U;
   pilot->due_us = (pilot->policy.period_ns > half_call_ns)
                       ? (pilot->policy.period_ns - half_call_ns) / NS_PER_US
@@ -211,7 +211,7 @@ static void decide(qj_pilot *pilot, const qj_vehicle *vehicle) {
          (uint32_t)field[QJ_FIELD_SIZE]);
   }
   (void)qj_race_update(policy, &pilot->race, vehicle->position);
-  pilot->last = qj_observe(policy, &pilot->race, state, q);
+  pilot->last = qj_observe(policy, pilot->race.target, state, q);
 #ifdef QJ_SAMPLED
   qj_sample(policy, q, &pilot->noise, integers);
 #else

@@ -1,5 +1,5 @@
-/* The observation, its history and the gates: see qj.h. qj_load has checked every number on which the
- * comments about overflow below depend. */
+/* The observation and the gates: see qj.h. qj_load has checked every number on which the comments about
+ * overflow below depend. */
 #include "qj_integers.h"
 
 /* 2^32 / (2 pi): a yaw in Q24 times this is in turns of 2^56. */
@@ -113,51 +113,18 @@ static void see_numbers(const qj_policy *policy, const int32_t *part, const int3
   }
 }
 
-/* The state of some steps before the present one, at most the depth of the history. */
-static const int32_t *recall(const qj_policy *policy, const qj_race *race, uint32_t lag) {
-  const uint32_t row = race->next + policy->history - lag;
-  return race->history + ((row < policy->history) ? row : row - policy->history) * policy->state_size;
-}
-
-/* The first state is all of the history. */
-static void make_room(const qj_policy *policy, qj_race *race, const int32_t *s) {
-  race->next = (race->next < policy->history) ? race->next : 0U;
-  for (uint32_t row = 0U; (race->filled == 0U) && (row < policy->history); ++row) {
-    for (uint32_t i = 0U; i < policy->state_size; ++i) {
-      race->history[row * policy->state_size + i] = s[i];
-    }
-  }
-  race->filled = 1U;
-}
-
-static void remember(const qj_policy *policy, qj_race *race, const int32_t *s) {
-  int32_t *const row = race->history + race->next * policy->state_size;
-  for (uint32_t i = 0U; i < policy->state_size; ++i) {
-    row[i] = s[i];
-  }
-  race->next = (race->next + 1U < policy->history) ? race->next + 1U : 0U;
-}
-
-qj_status qj_observe(const qj_policy *policy, qj_race *race, const float *state, int32_t *q) {
+qj_status qj_observe(const qj_policy *policy, uint32_t target, const float *state, int32_t *q) {
   int32_t s[QJ_MAX_STATE];
-  const int32_t *const gate = gate_of(policy, race->target);
+  const int32_t *const gate = gate_of(policy, target);
   const int32_t *part = policy->part;
   qj_status status = qj_quantize_all(state, policy->exponents, policy->state_size, s);
-  if (policy->history != 0U) {
-    make_room(policy, race, s);
-  }
   for (uint32_t number = 0U; number < policy->parts; ++number) {
-    const uint32_t lag = (uint32_t)part[QJ_PART_LAG];
-    const int32_t *const then = (lag == 0U) ? s : recall(policy, race, lag);
     if (part[QJ_PART_KIND] < QJ_SEE_COPY) {
-      see(policy, part, then, gate, &status.outside, q);
+      see(policy, part, s, gate, &status.outside, q);
     } else {
-      see_numbers(policy, part, then, gate, &status.outside, q);
+      see_numbers(policy, part, s, gate, &status.outside, q);
     }
     part += QJ_PART_WORDS;
-  }
-  if (policy->history != 0U) {
-    remember(policy, race, s);
   }
   return status;
 }
@@ -188,10 +155,6 @@ uint32_t qj_observes(const qj_policy *policy, qj_field field) {
   return observed & 1U;
 }
 
-uint32_t qj_counts_steps(const qj_policy *policy) {
-  return ((policy->history != 0U) || (qj_observes(policy, QJ_LAST_COMMAND) != 0U)) ? 1U : 0U;
-}
-
 /* ---- the gates ---------------------------------------------------------------------------------- */
 
 static uint32_t quantize_position(const qj_policy *policy, const float position[3], int32_t p[3]) {
@@ -206,8 +169,6 @@ void qj_race_start(const qj_policy *policy, qj_race *race, const float position[
   race->target = (target < policy->gates) ? target : 0U;
   race->passed = 0U;
   race->missed = 0U;
-  race->next = 0U;
-  race->filled = 0U;
 }
 
 static int64_t magnitude(int64_t value) { return (value < 0) ? -value : value; }

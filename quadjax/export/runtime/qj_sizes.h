@@ -8,8 +8,5 @@
 #ifndef QJ_MAX_STATE
 #define QJ_MAX_STATE 32 /* numbers of the state */
 #endif
-#ifndef QJ_MAX_HISTORY
-#define QJ_MAX_HISTORY 2048 /* numbers of all earlier states */
-#endif
 
 #endif /* QJ_SIZES_H */

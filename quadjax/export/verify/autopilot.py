@@ -16,6 +16,7 @@ from quadjax.export.verify.build import VEHICLE, Sources, pointers
 from quadjax.export.verify.result import require
 from quadjax.export.verify.toolchain import host
 from quadjax.export.words import COMMANDS, FixedPolicy
+from quadjax.race.layout import LAST_ACTION
 
 GLUE_STEPS, GLUE_TOLERANCE = 50, 2e-5  # of a command's range: an autopilot has other units
 
@@ -76,7 +77,7 @@ def compare_glue(sources: Sources, policy: FixedPolicy, work: Path) -> str:
     """
     target, glue = sources.target, Autopilot(sources, work)
     require(glue.wrong is None, f"the glue rejects the policy: {glue.wrong}")
-    held = policy.race.box.layout.counts_steps
+    held = LAST_ACTION in policy.race.box.layout
     calls = calls_per_step(1e9 / sources.call_ns, policy.race.time_step) if held else 1
     emulated, rows = PilotEmulator(policy, calls), random_vehicles(policy, GLUE_STEPS)
     network = policy.network

@@ -22,12 +22,12 @@ uint32_t harness_size(void) { return sizeof(qj_pilot); }
 /* An error of qj_load, 100 for a pilot that refuses the policy, or the mismatches of the scalar kernel. */
 uint32_t harness_load(qj_pilot *pilot, const int32_t *words, uint32_t bytes) {
   const char *const wrong = qj_pilot_load(pilot, words, bytes, &interface);
-  const qj_error error = qj_load(&pilot->policy, &pilot->race, words, bytes);
+  const qj_error error = qj_load(&pilot->policy, words, bytes);
   pilot->policy.kernel = QJ_SCALAR;
   if (error != QJ_OK) {
     return (uint32_t)error;
   }
-  return (wrong != 0) ? 100U : qj_self_test(&pilot->policy, &pilot->race);
+  return (wrong != 0) ? 100U : qj_self_test(&pilot->policy);
 }
 
 /* Row: commands, trace. */
@@ -60,7 +60,7 @@ void harness_observe(qj_pilot *pilot, const float *states, const uint32_t *targe
   qj_race_start(policy, &pilot->race, states, 0U);
   for (uint32_t i = 0U; i < count; ++i) {
     pilot->race.target = targets[i];
-    const qj_status status = qj_observe(policy, &pilot->race, states, out);
+    const qj_status status = qj_observe(policy, pilot->race.target, states, out);
     out[policy->inputs] = (int32_t)status.clipped;
     out[policy->inputs + 1U] = (int32_t)status.nan;
     out[policy->inputs + 2U] = (int32_t)status.outside;

@@ -13,7 +13,7 @@
 #define GATES_AHEAD 1
 
 /* The rate at which the firmware calls nn_control (inner loops per second by rate_denom): change it if
- * yours differs. A policy that observes earlier steps runs at the rate of its training, and its
+ * yours differs. A policy that observes its last action runs at the rate of its training, and its
  * commands are held in between; any other one runs at every call. */
 #ifndef NN_CONTROL_HZ
 #define NN_CONTROL_HZ 500

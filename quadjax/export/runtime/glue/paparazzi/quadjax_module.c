@@ -107,7 +107,7 @@ void quadjax_module_init(void) {
 #if QJ_HAS_NEON
   /* Whether the processor has it; the self-tests again with the kernel that flies. */
   pilot.policy.kernel = (getauxval(AT_HWCAP) & HWCAP_NEON) ? QJ_NEON : QJ_SCALAR;
-  if ((wrong == 0) && (qj_self_test(&pilot.policy, &pilot.race) != 0U)) {
+  if ((wrong == 0) && (qj_self_test(&pilot.policy) != 0U)) {
     wrong = qj_error_name(QJ_BAD_SELF_TEST);
   }
   qj_pilot_reset(&pilot);
