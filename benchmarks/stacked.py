@@ -50,9 +50,8 @@ def scorer(config: quadjax.Config, params: Sequence[RaceParams]) -> Callable[[An
     choices, length, runs = make_choices(config), config.evaluate.laps, score_runs(config)
     act = act_sampled if config.run.score == "sampled" else act_deterministic
     start_key, key = jax.random.split(jax.random.key(0))
-    exact = [exact_rules(choices.model, x) for x in params]
     exact = [
-        x.replace(observation_scale=y.observation_scale) for x, y in zip(exact, params, strict=True)
+        exact_rules(choices.model, x).replace(observation_scale=x.observation_scale) for x in params
     ]
     sizes = length, max(laps.step_limit(x, length) for x in exact), False
     (stacked, axes), dt = stack(exact), float(exact[0].rules.time_step)
@@ -94,9 +93,9 @@ def train(configs: Configs, made: Made, folders: Sequence[Path], limit: float) -
     files, score = [MetricsFile(folder, 0, False) for folder in folders], scorer(first, params)
     for chunk in train_chunks(functools.partial(many, hyper), races, states, plan):
         seconds, scores = time.monotonic() - start, score(chunk.state.evaluated)
-        networks = jax.device_get(chunk.state.evaluated)
+        latest = jax.device_get(chunk.state.evaluated)
         for i, total in enumerate(scores):
-            state = dataclasses.replace(small, params=at(networks, i))
+            state = dataclasses.replace(small, params=at(latest, i))
             one = dataclasses.replace(chunk, state=state, metrics=at(chunk.metrics, i))
             runs[i] = runs[i].after(one, total, seconds)
             best = {"lap_total": total, "best_lap_total": runs[i].best_score}

@@ -30,8 +30,7 @@ Sample = TypeVar("Sample", jax.Array, Vec3, Rotors)
 SQRT2 = float(np.sqrt(2.0))
 
 
-@struct.dataclass
-class LowPass:
+class LowPass(struct.PyTreeNode):
     """Coefficients of the filter at one sample rate; all of it traced."""
 
     feedback: jax.Array  # (2,)

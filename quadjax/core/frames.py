@@ -20,16 +20,14 @@ def wrap_angle(angle: jax.Array) -> jax.Array:
     return angle - (2.0 * jnp.pi) * jax.lax.stop_gradient(jnp.round(angle / (2.0 * jnp.pi)))
 
 
-@struct.dataclass
-class QuaternionAttitude:
+class QuaternionAttitude(struct.PyTreeNode):
     """A quaternion and its rotation matrix, computed once for all uses."""
 
     quaternion: Quaternion
     matrix: Mat3
 
 
-@struct.dataclass
-class Attitude:
+class Attitude(struct.PyTreeNode):
     """Sines and cosines of the Euler angles, computed once for all uses."""
 
     sin_roll: jax.Array

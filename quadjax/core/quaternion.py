@@ -16,8 +16,7 @@ from quadjax.core.vectors import Mat3, Vec3, dot
 Arctan2 = Callable[[jax.Array, jax.Array], jax.Array]
 
 
-@struct.dataclass
-class Quaternion:
+class Quaternion(struct.PyTreeNode):
     """A rotation from body to world; each component ()."""
 
     w: jax.Array

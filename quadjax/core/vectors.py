@@ -68,8 +68,7 @@ class _Components:
         return cls(*(jnp.zeros(()) for _ in dataclasses.fields(cls)))
 
 
-@struct.dataclass
-class Vec3(_Components):
+class Vec3(_Components, struct.PyTreeNode):
     """Three components of a vector, in the frame that the field's comment gives."""
 
     x: jax.Array
@@ -77,8 +76,7 @@ class Vec3(_Components):
     z: jax.Array
 
 
-@struct.dataclass
-class Rotors(_Components):
+class Rotors(_Components, struct.PyTreeNode):
     """One number per motor: 1 front-left, 2 front-right, 3 rear-right, 4 rear-left."""
 
     w1: jax.Array
@@ -114,8 +112,7 @@ def between(low: jax.Array | float, high: jax.Array | float, draw: jax.Array) ->
     return low + 0.5 * (high - low) * (draw + 1.0)
 
 
-@struct.dataclass
-class Mat3:
+class Mat3(struct.PyTreeNode):
     """A 3 x 3 matrix by its rows."""
 
     x: Vec3

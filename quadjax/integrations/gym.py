@@ -34,8 +34,7 @@ DEFAULT_CONFIG = "e2e"
 Named = Config | Path | str  # a config, a preset's name or a YAML file
 
 
-@struct.dataclass
-class Batch:
+class Batch(struct.PyTreeNode):
     """All environments between two calls."""
 
     state: RaceState  # batched along the last axis

@@ -135,8 +135,7 @@ def _update(task: Task, hyper: PPO, state: TrainState) -> tuple[TrainState, Metr
     }
 
 
-@struct.dataclass
-class Batch:
+class Batch(struct.PyTreeNode):
     """Steps to learn from; the leading axes are all batch."""
 
     observation: jax.Array  # (..., observation_size)

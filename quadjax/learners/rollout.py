@@ -22,8 +22,7 @@ Carry = TypeVar("Carry")
 Results = TypeVar("Results")
 
 
-@struct.dataclass
-class Steps:
+class Steps(struct.PyTreeNode):
     """Steps of all environments: axes are time, environment, then the quantity's own."""
 
     observation: jax.Array  # (time, n, observation_size)

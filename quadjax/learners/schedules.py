@@ -78,8 +78,7 @@ class Schedule(Section):
         return [begin + (end - begin) * i / last for i in range(last + 1)]
 
 
-@struct.dataclass
-class Knots:
+class Knots(struct.PyTreeNode):
     """Values of some leaves of a pytree at each knot."""
 
     knots: jax.Array  # (k,) number of updates, or levels, increasing
@@ -88,8 +87,7 @@ class Knots:
     by_level: bool = struct.field(pytree_node=False, default=False)  # else by updates
 
 
-@struct.dataclass
-class Scheduled:
+class Scheduled(struct.PyTreeNode):
     """Hyperparameters of a learner together with the schedules of the run."""
 
     hyper: Tree

@@ -14,8 +14,7 @@ Params = TypeVar("Params")
 Metrics = dict[str, jax.Array]
 
 
-@struct.dataclass
-class TrainState:
+class TrainState(struct.PyTreeNode):
     """Everything that a run needs to resume; a checkpoint holds all of it."""
 
     params: NetworkParams  # of the ``ActorCritic``

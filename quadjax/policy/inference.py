@@ -11,8 +11,7 @@ from quadjax.learners import networks
 from quadjax.learners.networks import ActorCritic
 
 
-@struct.dataclass
-class PolicyParams:
+class PolicyParams(struct.PyTreeNode):
     """A policy's numbers on the device, and the module that takes them."""
 
     params: Mapping[str, Any]  # actor and log_std (actions,)

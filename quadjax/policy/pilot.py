@@ -30,8 +30,7 @@ from quadjax.vehicle.protocol import VehicleModel
 Ranges = tuple[np.ndarray, np.ndarray]  # lowest and highest
 
 
-@struct.dataclass
-class Pilot:
+class Pilot(struct.PyTreeNode):
     """A policy and the conversions between its scaling and the environment's."""
 
     policy: PolicyParams

@@ -18,8 +18,7 @@ from quadjax.learners.state import TrainState
 logging.getLogger("absl").setLevel(logging.CRITICAL)
 
 
-@struct.dataclass
-class RunState:
+class RunState(struct.PyTreeNode):
     """The progress of a run: what a checkpoint holds."""
 
     state: TrainState

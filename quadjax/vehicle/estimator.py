@@ -28,8 +28,7 @@ from quadjax.vehicle.protocol import Measurement, VehicleModel, VehicleParams
 DEFAULT_CUTOFF = 8.0  # Hz
 
 
-@struct.dataclass
-class EstimatorParams:
+class EstimatorParams(struct.PyTreeNode):
     """The model that is subtracted and the coefficients of the filter; all but it traced."""
 
     vehicle: VehicleParams
@@ -40,8 +39,7 @@ class EstimatorParams:
     model: VehicleModel = struct.field(pytree_node=False)
 
 
-@struct.dataclass
-class EstimatorState:
+class EstimatorState(struct.PyTreeNode):
     """Two numbers of memory for each of the six channels."""
 
     moment_1: Vec3  # N m

@@ -52,8 +52,7 @@ class VehicleParams(struct.PyTreeNode):
     opaque_true: jax.Array | None = None
 
 
-@struct.dataclass
-class Motion:
+class Motion(struct.PyTreeNode):
     """Rigid-body motion at the start of an episode."""
 
     position: Vec3  # m, world
@@ -62,8 +61,7 @@ class Motion:
     rates: Vec3  # p, q, r, rad/s, body
 
 
-@struct.dataclass
-class Measurement:
+class Measurement(struct.PyTreeNode):
     """What is measured on board at one sample."""
 
     gyro: Vec3  # p, q, r, rad/s, body

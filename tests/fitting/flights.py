@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.core.mlp import to_params
+from quadjax.core.mlp import to_layers, to_params
 from quadjax.fitting.flight_log import write_log
 from quadjax.fitting.formats import paparazzi_columns
 from quadjax.vehicle.residual import Residual
@@ -47,7 +47,8 @@ def random_residual(seed: int, thrust: float = 1.0, moments=0.015, width: int = 
 
 def as_reference(residual: Residual) -> dict:
     """A residual as ``tests.reference`` takes it."""
-    return {key: jax.tree.map(np.float64, value) for key, value in vars(residual).items()}
+    values = vars(residual) | {x: to_layers(getattr(residual, x)) for x in ("thrust", "moment")}
+    return {key: jax.tree.map(np.float64, value) for key, value in values.items()}
 
 
 def runge_kutta(slope, x: np.ndarray, dt: float, k1: np.ndarray) -> np.ndarray:

@@ -14,8 +14,7 @@ from quadjax.learners.networks import ActorCritic
 SIZE = 3  # numbers of an observation
 
 
-@struct.dataclass
-class Probe:
+class Probe(struct.PyTreeNode):
     """Weights of the reward, the length of an episode and how it ends."""
 
     constant: jax.Array  # reward of every step
@@ -29,8 +28,7 @@ class Probe:
     truncates: jax.Array  # 1: episodes are truncated; 0: terminated
 
 
-@struct.dataclass
-class State:
+class State(struct.PyTreeNode):
     """A sign for the episode, a clock and a place."""
 
     sign: jax.Array

@@ -15,8 +15,7 @@ from quadjax.learners.state import Learner
 STEPS = 64  # of an update
 
 
-@struct.dataclass
-class State:
+class State(struct.PyTreeNode):
     """A train state with a level."""
 
     update: jax.Array
