@@ -13,6 +13,7 @@ import dataclasses
 import functools
 from typing import Annotated, Any, Literal, Self
 
+import chex
 import jax
 import jax.numpy as jnp
 import optax
@@ -217,8 +218,9 @@ def loss(
     advantage = advantage / (jnp.std(batch.advantage) + 1e-8)
     clipped = jnp.clip(ratio, 1.0 - hyper.clip_range, 1.0 + hyper.clip_range)
     policy_loss = -jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
-    error = predict_value(network, params, batch.observation) - batch.target
-    value_loss = jnp.mean(error**2)
+    value = predict_value(network, params, batch.observation)
+    chex.assert_equal_shape([ratio, batch.advantage, value, batch.target])
+    value_loss = jnp.mean((value - batch.target) ** 2)
     entropy = jnp.sum(log_std + 0.5 * jnp.log(2.0 * jnp.pi * jnp.e))
     total = policy_loss + hyper.value_coefficient * value_loss - hyper.entropy_coefficient * entropy
     return total, {

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+import chex
 import jax
 import jax.numpy as jnp
 import optax
@@ -159,6 +160,7 @@ def td_lambda(
     7). The advantage of generalized advantage estimation (Schulman et al., 2016) is
     ``G_t - V(s_t)``.
     """
+    chex.assert_equal_shape([steps.reward, steps.next_value, steps.terminated, steps.truncated])
 
     def backward(following: jax.Array, step: Steps) -> tuple[jax.Array, jax.Array]:
         mixed = (1.0 - trace_decay) * step.next_value + trace_decay * following

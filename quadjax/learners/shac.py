@@ -13,6 +13,7 @@ weight matrix close to one.
 import dataclasses
 from typing import Annotated, Any, ClassVar, Literal, Self
 
+import chex
 import jax
 import jax.numpy as jnp
 import optax
@@ -252,6 +253,7 @@ def fit_critic(
 
     def loss(critic: Params, observation: jax.Array, target: jax.Array) -> jax.Array:
         predicted = predict_value(task.network, {**state.params, "critic": critic}, observation)
+        chex.assert_equal_shape([predicted, target])
         return jnp.mean((predicted - target) ** 2)
 
     def step(carry: Any, rows: tuple[jax.Array, jax.Array]) -> tuple[Any, jax.Array]:
