@@ -147,9 +147,18 @@ class ResidualConfig(Section):
     """Training of the residual networks."""
 
     fit: bool = Field(True, description="false writes a vehicle without a residual")
-    seeds: int = Field(5, ge=1, le=100, description="networks of an ensemble")
-    epochs: int = Field(60, ge=1, le=10**5, description="passes over the data")
-    mirror: Literal["auto", "on", "off"] = Field("auto", description="train on mirror images")
+    epochs: int = Field(150, ge=1, le=10**5, description="passes over the data, at most")
+    batch_size: int = Field(512, ge=1, le=10**6, description="rows of a minibatch")
+    learning_rate: Positive = Field(3e-3, description="of Adam")
+    weight_decay: NonNegative = Field(2e-3, description="L2 penalty on the kernels")
+    input_noise: NonNegative = Field(
+        0.07, description="noise added to the inputs, in their standard deviations"
+    )
+    mirror: bool = Field(True, description="train on mirror images as well")
+    select: bool = Field(
+        True,
+        description="held-out folds choose epochs and scale; false takes all epochs and scale 1",
+    )
     max_harm: NonNegative = Field(
         0.1, description="largest relative increase of any held-out fold's error"
     )

@@ -18,7 +18,7 @@ from quadjax.fitting.axes import Prediction, pooled
 from quadjax.fitting.fit import Fit
 from quadjax.fitting.nominal import AXES, EQUATIONS
 from quadjax.fitting.regression import Estimate, r_squared
-from quadjax.fitting.samples import ALL
+from quadjax.fitting.residual import Choice
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.residual import write_residual
 from quadjax.vehicle.vehicle_file import write_vehicle
@@ -45,9 +45,9 @@ def tables(result: Fit) -> str:
     what = "held out, each by a fit without it"
     parts = [_constants(result), _errors(result, "training", result.training)]
     parts += [_errors(result, what, pooled(result.held_out)), _by_flight(result)]
-    if result.residuals and result.residuals[ALL].choices:
-        parts.append(_choices(result))
-    elif not result.residuals:
+    if result.fitted.residual and result.fitted.residual.choices:
+        parts.append(_choices(result, result.fitted.residual.choices))
+    elif not result.fitted.residual:
         parts.append(f"the model {result.model} has no residual network")
     return "\n\n".join(parts) + "\n"
 
@@ -61,14 +61,13 @@ def write_results(result: Fit, folder: Path) -> list[Path]:
     write_vehicle(vehicle, result.vehicle, source, _notes(result))
     write_json(numbers, as_json(result) | {"provenance": provenance(result.config)})
     write_text(text, tables(result))
-    if result.residuals:
+    if fit := result.fitted.residual:
         paths.append(folder / RESIDUAL)
-        fit = result.residuals[ALL]
         source_of = {
             "fit": result.config.name,
             "flights": result.fitted_flights,
             "rejected": {axis: c.rejected for axis, c in fit.choices.items() if c.rejected},
-            "constants": {name: float(x) for name, x in values_of(result.constants[ALL]).items()},
+            "constants": {name: float(x) for name, x in values_of(result.fitted.constants).items()},
         }
         write_residual(paths[-1], fit.residual, source_of)
     return paths
@@ -97,10 +96,12 @@ def as_json(result: Fit) -> dict[str, object]:
         "held_out_pooled": _prediction_json(result, pooled(result.held_out)),
         "not_checked": {log.name: log.source["unchecked"] for log in result.logs},
         "choices": {
-            result.split.names[min(left_out)] if left_out else "final": {
-                axis: vars(choice) for axis, choice in fit.choices.items()
+            name: {
+                axis: vars(choice) | {"gain": choice.gain}
+                for axis, choice in model.residual.choices.items()
             }
-            for left_out, fit in result.residuals.items()
+            for name, model in {"final": result.fitted, **result.without}.items()
+            if model.residual
         },
     }
     return json.loads(json.dumps(report), parse_constant=lambda _: None)
@@ -120,7 +121,7 @@ def _numbers(result: Fit, part: Prediction) -> dict[str, np.ndarray]:
     """Errors of a prediction by the names of ``COLUMNS``, (6,) each."""
     models = result.models(part).items()
     numbers = {f"rmse_{name}": part.rmse(modeled) for name, modeled in models}
-    if result.residuals:
+    if result.fitted.residual:
         numbers["change"] = part.change
     return numbers | {f"r_squared_{name}": r_squared(part.measured, x) for name, x in models}
 
@@ -134,7 +135,7 @@ def _notes(result: Fit) -> dict[str, dict[str, str]]:
     """A comment for every constant that a fit has, by model; none if it kept them."""
     if not result.config.nominal.fit:
         return {"motor": {}}
-    names = {n for of in EQUATIONS[type(result.constants[ALL])].constants.values() for n in of}
+    names = {n for of in EQUATIONS[type(result.fitted.constants)].constants.values() for n in of}
     notes = {result.model: dict.fromkeys(names, "the base vehicle's")}
     for fit in result.estimates:
         model = "rate" if fit.group == "rate" else result.model
@@ -186,7 +187,7 @@ def _by_flight(result: Fit) -> str:
     ]
     title = f"held out: R^2 of {what} by a fit without it"
     text = text_table(title, ("", *AXES), explained)
-    if not result.residuals:
+    if not result.fitted.residual:
         return text
     changes = np.array([part.change[2:] for part in result.held_out])
     rows = [(part.name, change) for part, change in zip(result.held_out, changes, strict=True)]
@@ -196,35 +197,29 @@ def _by_flight(result: Fit) -> str:
     return f"{text}\n\n{text_table(title, ('', *RESIDUAL_AXES), cells)}"
 
 
-def _choices(result: Fit) -> str:
-    fit = result.residuals[ALL]
-    header = ("axis", "mirror", "epochs", "scale", "gain", "+- seeds", "agreement", "distilled")
+def _choices(result: Fit, choices: dict[str, Choice]) -> str:
     rows = [
         (
             axis,
-            "yes" if c.mirror else "no",
-            str(c.epoch + 1),
-            f"{c.scale:.2f}",
-            f"{100.0 * c.gain:.1f}%",
-            f"{100.0 * c.seed_spread:.1f}%" if np.isfinite(c.seed_spread) else "-",
-            f"{c.agreement:.2f}",
-            f"{c.distilled:.3f}",
-            " ".join(f"{100.0 * gain:+.1f}%" for gain in c.gains),
+            str(choice.epochs),
+            f"{choice.scale:.2f}",
+            f"{100.0 * choice.gain:.1f}%",
+            " ".join(f"{100.0 * gain:+.1f}%" for gain in choice.gains),
         )
-        for axis, c in fit.choices.items()
+        for axis, choice in choices.items()
     ]
-    lines = [
-        text_table("the written residual, selected on held-out folds", (*header, "per fold"), rows),
-        "agreement: mean square of the ensemble's mean over that of its networks, 1 is the same",
-        "distilled: R^2 of the written network to the ensemble",
-        "scale: chosen so that the ensemble without a fold, scaled, increases no fold's error by "
-        f"more than {100.0 * result.config.residual.max_harm:g}%",
-    ]
-    if result.config.residual.seeds == 1:
-        lines.append("residual.seeds is 1: gains are not compared with the spread between seeds")
-    rejected = {axis: c.rejected for axis, c in fit.choices.items() if c.rejected}
+    title, header = "the written residual", ("axis", "epochs", "scale", "gain", "per fold")
+    if result.config.residual.select:
+        title = f"{title}, selected on held-out folds"
+    lines = [text_table(title, header, rows)]
+    if result.config.residual.select:
+        lines.append(
+            "scale: chosen so that a training without a fold, scaled, increases no fold's error by "
+            f"more than {100.0 * result.config.residual.max_harm:g}%"
+        )
+    rejected = {axis: c.rejected for axis, c in choices.items() if c.rejected}
     lines += [f"rejected: {a}: {reason}; written as zero" for a, reason in rejected.items()]
-    if len(rejected) == len(fit.choices):
+    if len(rejected) == len(choices):
         lines.append("the written residual adds nothing: train without +residual")
     return "\n".join(lines)
 

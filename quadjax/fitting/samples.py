@@ -32,8 +32,7 @@ AIRBORNE = 0.5  # of the flight's median rpm, below which it is on the ground
 PAUSE = 1.0  # s below it that count as a landing
 SETTLING = 0.5  # s, until unknown propeller speeds of the start have no effect
 
-LeftOut = frozenset[int]  # folds that a fit does not use
-ALL: LeftOut = frozenset()  # the fit that is written
+Folds = frozenset[int]  # the folds that a fit uses
 TEST = -1
 NOWHERE = -2  # unused rows next to test rows, within the filter's reach
 GUARD = 0.1  # s
@@ -151,30 +150,21 @@ class Split:
     fold: np.ndarray  # (n,) 0 .. folds - 1, TEST or NOWHERE
     names: tuple[str, ...]  # of the folds
 
-    def learned(self, left_out: LeftOut) -> np.ndarray:
-        """Rows (n,) bool of all folds but some, without test rows."""
-        return (self.fold >= 0) & ~np.isin(self.fold, list(left_out))
+    @property
+    def all(self) -> Folds:
+        """Every fold."""
+        return frozenset(range(len(self.names)))
 
-    def inner(self, left_out: LeftOut) -> list[int]:
-        """The folds that are not left out."""
-        return [fold for fold in range(len(self.names)) if fold not in left_out]
+    def rows(self, folds: Folds) -> np.ndarray:
+        """The rows (n,) bool of some folds."""
+        return np.isin(self.fold, list(folds))
 
-    def complete(self) -> list[LeftOut]:
-        """Folds left out of each complete fit: none, and each flight."""
-        nested = self.by == "flight" and len(self.names) > 1
-        return [ALL, *(frozenset({fold}) for fold in self.inner(ALL) if nested)]
-
-    def held_out(
-        self, flight: np.ndarray, flights: Sequence[str]
-    ) -> Iterator[tuple[str, np.ndarray, LeftOut]]:
-        """Name, rows (n,) bool, and the complete fit without them, of each held-out part."""
-        for left_out in self.complete()[1:]:
-            (number,) = left_out
-            yield self.names[number], self.fold == number, left_out
+    def tests(self, flight: np.ndarray, flights: Sequence[str]) -> Iterator[tuple[str, np.ndarray]]:
+        """Name and rows (n,) bool of the test rows of each flight that has some."""
         for index, name in enumerate(flights):
             rows = (self.fold == TEST) & (flight == index)
             if rows.any():
-                yield (name if self.by == "flight" else f"{name}, last part"), rows, ALL
+                yield (name if self.by == "flight" else f"{name}, last part"), rows
 
 
 def make_split(times: Sequence[np.ndarray], flights: Sequence[str], config: SplitConfig) -> Split:

@@ -29,7 +29,7 @@ MAX_BYTES = 2_000_000
 SHORT = [word for word in OF_EACH if not word.startswith("run.steps=")]  # of any learner
 SMALL = {
     "logs_to_c": [
-        'FIT = ["residual.seeds=1", "residual.epochs=3", "residual.mirror=off"]',
+        'FIT = ["residual.epochs=3"]',
         # A residual of three epochs is zero, so its schedule would have no effect.
         f"OVERRIDES = {[*SHORT, 'schedules.vehicle.residual_gain=null']}",
         "FLIGHTS, LAPS, STEPS = 1, 1, 512",

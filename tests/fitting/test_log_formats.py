@@ -10,7 +10,7 @@ from quadjax.fitting.config import FitConfig, LogsConfig
 from quadjax.fitting.fit import fit
 from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.report import tables
-from quadjax.fitting.samples import ALL, prepare
+from quadjax.fitting.samples import prepare
 from quadjax.vehicle.constants import replaced, values_of
 from quadjax.vehicle.vehicle_file import read_vehicle, write_vehicle
 from tests.commands import run
@@ -65,7 +65,7 @@ def test_every_constant_is_recovered(form, drone, tmp_path):
     named = [line.partition(":")[0].partition(" ")[0] for line in result.warnings]
     assert named == [] if form != "tii" else "w_max" in named
     for name in [*names, "w_max", "k"]:
-        np.testing.assert_allclose(values_of(result.constants[ALL])[name], true[name], 0.02)
+        np.testing.assert_allclose(values_of(result.fitted.constants)[name], true[name], 0.02)
 
 
 @pytest.mark.parametrize(
@@ -236,9 +236,9 @@ def test_a_held_out_flight_has_no_influence_on_its_prediction(form, pieces):
     both = _fit(pieces, form, "ab")
     assert {part.name for part in both.held_out} == {f"a_{form}", f"b_{form}"}
     shorter = _fit(pieces, form, "cb")
-    without = frozenset({0})
-    assert shorter.constants[without] == both.constants[without]
-    assert shorter.constants[ALL] != both.constants[ALL]
+    without_a, without_c = both.without[f"a_{form}"], shorter.without[f"c_{form}"]
+    assert without_a.constants == without_c.constants
+    assert shorter.fitted.constants != both.fitted.constants
     assert "held out: R^2 of each flight by a fit without it" in tables(both)
 
 

@@ -14,7 +14,6 @@ from quadjax.fitting.config import load_fit_config
 from quadjax.fitting.fit import fit
 from quadjax.fitting.flight_log import read_logs, write_log
 from quadjax.fitting.report import text_table
-from quadjax.fitting.samples import ALL
 from quadjax.vehicle.residual import read_residual
 from quadjax.vehicle.vehicle_file import read_vehicle
 from tests.commands import run
@@ -49,7 +48,8 @@ def fitted(folder):
         found.append(fit(*arguments))
         return found[0]
 
-    words = (f"logs.files=[{folder}/*.csv]", "residual={seeds: 2, epochs: 10}")
+    training = "residual={epochs: 40, batch_size: 128, mirror: false}"
+    words = (f"logs.files=[{folder}/*.csv]", training)
     where = ("--output", folder / "runs", "--name", "all", "--overwrite")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fits, "fit", kept)
@@ -83,14 +83,15 @@ def test_the_command_writes_report_vehicle_residual_and_figures(fitted):
 def test_no_flight_is_harmed_by_the_residual_or_has_influence_on_its_own_prediction(fitted):
     """What fits the other flights harms the last one, so the written residual is scaled down."""
     result, _ = fitted
-    for choice in result.residuals[ALL].choices.values():
+    choices = result.fitted.residual.choices
+    for choice in choices.values():
         assert min(choice.gains) >= -0.1 - 1e-9
     # The error of the unlike flight is reported as it is: the others do not show it.
     held_out = {part.name: part.change for part in result.held_out}
     assert (held_out["flight_3"][3:] > 0.2).all()
     for axis in MOMENTS:
-        assert result.residuals[ALL].choices[axis].scale < 0.7
-        assert result.residuals[frozenset({3})].choices[axis].scale > 0.9
+        assert choices[axis].scale < 0.7
+        assert result.without["flight_3"].residual.choices[axis].scale > 0.9
 
 
 def copied(folder, to, count):
@@ -103,7 +104,7 @@ def copied(folder, to, count):
 @pytest.mark.slow
 def test_a_test_flight_has_no_influence_on_the_fit(folder, tmp_path):
     """Constants, residual and choices are those of a fit without the file."""
-    training = "residual={seeds: 1, epochs: 2, mirror: 'off'}"
+    training = "residual={epochs: 2, mirror: false}"
     tested, without = (
         fit(load_fit_config(CONFIG, [f"logs.files=[{place}/*.csv]", training, *more]), place)
         for place, more in (
@@ -113,7 +114,7 @@ def test_a_test_flight_has_no_influence_on_the_fit(folder, tmp_path):
     )
     assert [part.name for part in tested.held_out][3:] == ["flight_3"]
     assert replace(tested.vehicle, path=without.vehicle.path) == without.vehicle
-    choices, others = (result.residuals[ALL].choices for result in (tested, without))
+    choices, others = (result.fitted.residual.choices for result in (tested, without))
     for axis, choice in choices.items():
         np.testing.assert_allclose(choice.gains, others[axis].gains, rtol=1e-5, err_msg=axis)
 
@@ -129,7 +130,7 @@ def test_the_choice_of_constants_for_a_held_out_flight_is_made_without_it(bebop,
     for part in result.held_out:  # of the nominal model, without networks
         assert not part.change.any() and (part.rmse(part.nominal) > 0.0).all()
     assert "ax" in result.kept and result.vehicle.motor.k_x == bebop.k_x
-    without = result.constants[frozenset({2})]
+    without = result.without["flight_2"].constants
     assert without.k_x != bebop.k_x and without.k_x == pytest.approx(bebop.k_x, rel=0.05)
 
 
@@ -137,7 +138,7 @@ RACING = ("vehicle=5inch.yaml", "body.inertia=null", "body.rpm_range=null")
 WITHOUT_EFFECT = (
     ("split.test_fraction=0.4",),
     ("nominal.axes=[az]", "nominal.fit=false"),
-    ("residual.seeds=2", "residual.fit=false"),
+    ("residual.epochs=2", "residual.fit=false"),
     ("seed=1", "residual.fit=false"),
     ("residual.max_harm=0.2", *RACING),
     ("body.inertia=base", RACING[0], RACING[2]),
@@ -199,7 +200,7 @@ def test_a_table_has_no_colors_where_the_environment_forces_them(monkeypatch):
 def test_flights_left_out_are_not_harmed(plain_flights, tmp_path):
     """A shorter training than the default's."""
     logs = f"logs.files=[{plain_flights[0].parent}/*.csv]"
-    words = [logs, "residual={seeds: 2, epochs: 15}"]
+    words = [logs, "residual.epochs=40"]
     config = load_fit_config(REPOSITORY / "configs/fit/racing_quad.yaml", words)
     change = np.array([part.change[2:] for part in fit(config, tmp_path).held_out])
     assert change[:, 0].mean() < -0.08

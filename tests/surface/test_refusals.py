@@ -189,7 +189,7 @@ fit paparazzi logs.files=[short.csv] logs.format=nowhere:FORMAT | logs.format no
 fit paparazzi logs.files=[short.csv] logs.columns.rpms=[a] | rpms
 fit paparazzi logs.files=[short.csv] logs.columns.rpm=[a] | rpm
 fit paparazzi logs.files=[short.csv] residual.hiden=3 | residual.hiden epochs
-fit paparazzi logs.files=[short.csv] residual.seeds=many | residual.seeds many
+fit paparazzi logs.files=[short.csv] residual.epochs=many | residual.epochs many
 fit paparazzi logs.files=[short.csv] vehicle=nowhere.yaml | nowhere.yaml current folder
 fit paparazzi logs.files=[short.csv] body.inertia=null | body.inertia
 fit paparazzi logs.files=[short.csv] 'body.rpm_range=[5000, 3000]' | body.rpm_range
