@@ -154,7 +154,9 @@ class ResidualConfig(Section):
     input_noise: NonNegative = Field(
         0.07, description="noise added to the inputs, in their standard deviations"
     )
-    mirror: bool = Field(True, description="train on mirror images as well")
+    mirror: bool = Field(
+        True, description="left and right of the drone are the same: train on mirror images as well"
+    )
     select: bool = Field(
         True,
         description="held-out folds choose epochs and scale; false takes all epochs and scale 1",
@@ -249,7 +251,8 @@ def check_keys(config: FitConfig, model: str, split_by: str) -> None:
         reasons["nominal.axes"] = "nominal.fit=false fits no constant"
     if not config.residual.fit:
         reason = "residual.fit=false trains no network"
-        reasons |= dict.fromkeys([key for key in training if key != "residual.max_harm"], reason)
+        other = {"residual.max_harm", "residual.mirror"}  # of the constants, and of the drone
+        reasons |= dict.fromkeys([key for key in training if key not in other], reason)
         reasons["seed"] = "without a residual nothing is random"
     if model == "racing":
         of_model = "on a vehicle of the model racing: "
