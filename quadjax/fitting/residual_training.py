@@ -110,9 +110,7 @@ Batch = tuple[jax.Array, ...]  # standardized inputs and errors, and weights (n,
 
 
 @partial(jax.jit, static_argnames=("network", "config"))
-def _train(
-    network: ResidualNetwork, config: ResidualConfig, rows: Batch, key: jax.Array
-) -> Layers:
+def _train(network: ResidualNetwork, config: ResidualConfig, rows: Batch, key: jax.Array) -> Layers:
     optimizer = optax.adam(config.learning_rate)
     count = len(rows[0])
     batch = min(config.batch_size, count)
