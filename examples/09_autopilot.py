@@ -1,4 +1,4 @@
-"""Connect another autopilot to exported C, and carry the drone by hand through the first gate."""
+"""Connect exported C to another autopilot, and move its estimate through the first gate."""
 
 import ctypes
 import subprocess

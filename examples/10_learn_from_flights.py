@@ -11,7 +11,7 @@ POLICY = "e2e"  # a shipped policy, trained on the nominal Bebop 1
 
 
 def fly(race, plant):
-    """Paths of the logs of flights on a plant, in place of those of your own drone."""
+    """Fly and log the policy on a plant; with your own drone, return the paths of its logs."""
     (FOLDER / "logs").mkdir(parents=True, exist_ok=True)
     plan = quadjax.plan_logs(race, plant, POLICY, flights=4, laps=6)
     files, _ = quadjax.write_logs(plan, POLICY, FOLDER / "logs")
@@ -19,7 +19,7 @@ def fly(race, plant):
 
 
 def fit(logs):
-    """The overrides of a race with the model that is fitted to logs; see FOLDER/report.txt."""
+    """Fit the model to logs; returns the overrides of a race with it. See FOLDER/report.txt."""
     config = quadjax.load_fit_config("paparazzi", [f"logs.files={logs}"])
     quadjax.write_fit(quadjax.fit(config, report=print), FOLDER)
     return [f"vehicle={FOLDER / 'vehicle.yaml'}", f"vehicle.residual={FOLDER / 'residual.npz'}"]
@@ -27,7 +27,7 @@ def fit(logs):
 
 def main():
     race = quadjax.load("e2e")
-    plant = quadjax.load_plant_config("standin", ["constants.seed=3"])  # the seed of a drawn drone
+    plant = quadjax.load_plant_config("standin", ["constants.seed=3"])  # draws its constants
     model = fit(fly(race, plant))
     tuning = quadjax.load("e2e", [*model, "run.steps=1000000"])
     run = quadjax.train(quadjax.fine_tuning(tuning, POLICY), FOLDER / "run", overwrite=True)

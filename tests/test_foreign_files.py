@@ -96,7 +96,7 @@ def test_a_config_next_to_a_policy_file_is_not_read(foreign, capsys):
     path = foreign / "policy.npz"
     dataclasses.replace(Policy.load(path), config=None, source={}).save(path)
     assert run("export", path, "--output", "out", "--allow-unfinished") == 2
-    assert "policy.npz: has no config, name the config" in capsys.readouterr().err
+    assert "policy.npz: has no config; name the config" in capsys.readouterr().err
     assert not ran(foreign)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from quadjax.sil.run import Flown
 
 STOPPING = b"\nstopping: a flight that has begun is saved; Ctrl-C again ends without saving\n"
-FAULTS = Group("Faults, of states and commands", sort_key=2)
+FAULTS = Group("Faults in states and commands", sort_key=2)
 UNITS = tuple(WRONG_UNITS)
 OF_NAN = f"FIELD=P with P of 0 to 1 and FIELD one of {', '.join(FIELDS)}"
 Nan = Annotated[str, opt.named_number(OF_NAN, lambda p: 0.0 <= p <= 1.0, tuple(FIELDS))]
@@ -53,11 +53,11 @@ def sil(
 
     The C of DIR, a folder of quadjax export, or that of a policy is compiled for
     this machine: the glue of the target's autopilot, in a stand-in for its
-    firmware. It gets the drone's state at every control step, and returns the
-    command. The drone is the stand-in plant, whose config key=value overrides
-    change, or with --simulator the simulator that policies are trained in, the only
-    one for the models racing and a2rl. OUTPUT/NAME gets states.npz (for quadjax
-    view and quadjax evaluate --flights), sil.json and table.txt.
+    firmware. It gets the drone's state at every control step and returns the
+    command. The drone is the stand-in plant; key=value overrides change its config.
+    With --simulator, it is the simulator that policies are trained in, which the
+    models racing and a2rl need. OUTPUT/NAME gets states.npz (for quadjax view and
+    quadjax evaluate --flights), sil.json and table.txt.
 
     Example: quadjax sil e2e --late 0.2 --delay 20
 
@@ -70,9 +70,9 @@ def sil(
         laps: Laps of a run (default: evaluate.laps).
         runs: Number of runs.
         seed: Seed of drones and faults.
-        drop: States and commands that are lost.
-        late: States and commands that are late.
-        delay: Delay of late ones, ms.
+        drop: Probability that a state or command is dropped.
+        late: Probability that a state or command is late.
+        delay: Delay of late states and commands, ms.
         nan: A number of a state's field is NaN; may be repeated.
         wrong_unit: Unit of a state's field; may be repeated.
         view: Show the flight in the browser.

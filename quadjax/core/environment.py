@@ -52,7 +52,7 @@ def vectorize(environment: Environment[Params, State]) -> Environment[Params, St
     ``reset`` takes an array of keys, ``step`` an array of actions; ``params`` are shared.
 
     Raises:
-        InputError: when it is traced, a result of another shape or type than ``Environment`` says.
+        InputError: when traced, a result with a shape or type that ``Environment`` does not allow.
     """
     environment, completed = _checked(environment), environment.completed
     return dataclasses.replace(

@@ -22,13 +22,13 @@ ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {"relu": nn.relu, "ta
 class MLP(nn.Module):
     """Dense layers with an activation after each but the last.
 
-    ``h_0 = x``, ``h_{i+1} = activation(h_i K_i + b_i)``. Kernels are orthogonal at first, scaled by
-    sqrt(2), and by ``last_scale`` in the last layer; biases are zero.
+    ``h_0 = x``, ``h_{i+1} = activation(h_i K_i + b_i)``. Kernels are initialized orthogonal, scaled
+    by sqrt(2), and by ``last_scale`` in the last layer; biases are initialized to zero.
 
     Attributes:
         features: outputs of each layer, the last included.
         activation: a key of ``ACTIVATIONS``.
-        last_scale: of the last layer's initial kernel.
+        last_scale: scale of the last layer's initial kernel.
     """
 
     features: tuple[int, ...]

@@ -147,19 +147,19 @@ class ResidualConfig(Section):
     """Training of the residual networks."""
 
     fit: bool = Field(True, description="false writes a vehicle without a residual")
-    epochs: int = Field(150, ge=1, le=10**5, description="passes over the data, at most")
+    epochs: int = Field(150, ge=1, le=10**5, description="maximum number of passes over the data")
     batch_size: int = Field(512, ge=1, le=10**6, description="rows of a minibatch")
     learning_rate: Positive = Field(3e-3, description="of Adam")
     weight_decay: NonNegative = Field(2e-3, description="L2 penalty on the kernels")
     input_noise: NonNegative = Field(
-        0.07, description="noise added to the inputs, in their standard deviations"
+        0.07, description="noise on the inputs, in units of each input's standard deviation"
     )
     mirror: bool = Field(
-        True, description="left and right of the drone are the same: train on mirror images as well"
+        True, description="train on mirror images too: the drone is symmetric about its x-z plane"
     )
     select: bool = Field(
         True,
-        description="held-out folds choose epochs and scale; false takes all epochs and scale 1",
+        description="held-out folds choose epochs and scale; false: all epochs and scale 1",
     )
     max_harm: NonNegative = Field(
         0.1, description="largest relative increase of any held-out fold's error"

@@ -144,7 +144,7 @@ def _complete_fits(nominal: NominalFits) -> Callable[[Folds], FittedModel]:
 def cross_validate(
     fit_folds: Callable[[Folds], FittedModel], split: Split, report: Report
 ) -> tuple[dict[str, FittedModel], list[Prediction]]:
-    """Fit without each flight, or group of flights, and predict it; not of parts of flights.
+    """Fit without each flight, or group of flights, and predict it; by time, nothing is fitted.
 
     Args:
         fit_folds: the complete fit to some folds.

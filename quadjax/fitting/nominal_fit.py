@@ -29,9 +29,9 @@ from quadjax.vehicle.vehicle_file import VehicleFile
 class NominalFits:
     """The constants of a model, fitted to some folds; each fit is computed once.
 
-    ``motor``: an axis keeps the base vehicle's constants where they are better. Whether they are is
-    decided on the folds of the fit, each by a fit without it, too. ``racing``: motors are fitted
-    first; their speeds are used where logs have none.
+    ``motor``: an axis keeps the base vehicle's constants if those fitted without a fold increase
+    its error by more than ``residual.max_harm``. ``racing``: motors are fitted first; their
+    simulated speeds are used where logs have none.
     """
 
     def __init__(

@@ -145,15 +145,15 @@ class ResidualFits:
         return self._trained[network, folds]
 
     def _score(self, network: ResidualNetwork, folds: Folds, held_out: int) -> np.ndarray:
-        """Moments of the output on a fold, (epoch, o, 2), of a training on other folds.
+        """Products (epoch, o, 2) on a fold, by a training on other folds.
 
-        They are the mean of error times output, and of the output's square, over that of the
-        error's square.
+        They are the mean of error times output and the mean squared output, both divided by the
+        mean squared error.
         """
         part = self._part(network, folds, self._fold == held_out)
         outputs = np.float64(_outputs(self._train(network, folds), jnp.float32(part.inputs)))
-        moments = (part.errors * outputs).mean(axis=1), (outputs**2).mean(axis=1)
-        return np.stack(moments, axis=-1) / (part.errors**2).mean(axis=0)[:, None]
+        products = (part.errors * outputs).mean(axis=1), (outputs**2).mean(axis=1)
+        return np.stack(products, axis=-1) / (part.errors**2).mean(axis=0)[:, None]
 
 
 @jax.jit
@@ -166,7 +166,7 @@ def select(scores: np.ndarray, config: ResidualConfig) -> list[Choice]:
     """The number of epochs, and the scale of each axis.
 
     Args:
-        scores: moments (fold, epoch, o, 2) on held-out folds.
+        scores: products (fold, epoch, o, 2) on held-out folds.
         config: of the training; without ``select``, all epochs and the scale 1 are taken.
     """
     cross, square = scores[..., 0, None], scores[..., 1, None]

@@ -15,7 +15,7 @@ from quadjax.fitting.nominal import AXES
 from quadjax.fitting.signals import Rows, concatenated
 
 HIDDEN = 32
-SPREAD = 0.5  # of the first biases
+SPREAD = 0.5  # largest initial bias of the hidden layer
 # Left and right swapped: motors 1 <-> 2 and 3 <-> 4, and vy, p, r, Mx, Mz change sign.
 MIRROR_ORDER = np.array([1, 0, 3, 2, 4, 5, 6, 7, 8, 9])
 MIRROR_SIGN = np.array([1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
@@ -68,7 +68,7 @@ def with_mirror_images(network: ResidualNetwork, rows: Errors) -> Errors:
 
 
 def train(
-    network: ResidualNetwork, config: ResidualConfig, rows: Errors, epoch: int, seed: int
+    network: ResidualNetwork, config: ResidualConfig, rows: Errors, epoch_rows: int, seed: int
 ) -> Layers:
     """Train a network.
 
@@ -76,19 +76,19 @@ def train(
         network: of the two.
         config: of the training.
         rows: to train on.
-        epoch: number of rows of an epoch; with more than there are, rows are repeated, so that one
-            program trains on different numbers of rows.
-        seed: of the first parameters and of the batches.
+        epoch_rows: number of rows in an epoch; fewer rows than this are repeated, so that one
+            compiled program serves all folds.
+        seed: of the initial parameters and of the minibatches.
 
     Returns:
         The layers after each epoch, in the units of a residual file: leaves (epoch, ..).
     """
     if config.mirror:
-        rows, epoch = with_mirror_images(network, rows), 2 * epoch
+        rows, epoch_rows = with_mirror_images(network, rows), 2 * epoch_rows
     center, scale = rows.inputs.mean(axis=0), np.maximum(rows.inputs.std(axis=0), 1e-6)
     size = np.maximum(np.sqrt((rows.errors**2).mean(axis=0)), 1e-12)
     parts = (rows.inputs - center) / scale, rows.errors / size, _weights(rows)
-    index = np.resize(np.random.default_rng(seed).permutation(len(rows.fold)), epoch)
+    index = np.resize(np.random.default_rng(seed).permutation(len(rows.fold)), epoch_rows)
     batch = tuple(jnp.asarray(part[index], jnp.float32) for part in parts)
     trained = _train(network, config, batch, jax.random.key(seed))
     (kernel, bias), (last, last_bias) = (map(np.float64, layer) for layer in trained)
@@ -98,7 +98,7 @@ def train(
 
 
 def _weights(rows: Errors) -> np.ndarray:
-    """Weights (n, o) of square errors, with which the nominal error of each fold is the same."""
+    """Weights (n, o) of the squared errors that give each fold the same nominal error."""
     weights = np.empty_like(rows.errors)
     for number in np.unique(rows.fold):
         here = rows.fold == number

@@ -17,15 +17,15 @@ NAMES = ("actor", "critic", "log_std")  # of the parameters
 class ActorCritic(nn.Module):
     """Two separate networks, and a standard deviation that does not depend on the observation.
 
-    Its parameters are ``{"actor": .., "critic": .., "log_std": (action_size,)}``. A subclass has
-    other networks where it overrides ``make_network``, or ``setup`` with these three names.
+    Its parameters are ``{"actor": .., "critic": .., "log_std": (action_size,)}``. For other
+    networks, override ``make_network`` in a subclass, or ``setup`` with these three names.
 
     Attributes:
-        action_size: numbers of an action.
+        action_size: size of an action.
         hidden: units of each hidden layer.
         activation: of the hidden layers, "relu" or "tanh".
         clip_mean: clip the mean action to [-1, 1] before noise is added.
-        privileged_size: last numbers of the observation, which only the critic takes.
+        privileged_size: number of last entries of the observation, which only the critic takes.
     """
 
     action_size: int
@@ -44,8 +44,8 @@ class ActorCritic(nn.Module):
         """A module from inputs (..., n) to (..., outputs).
 
         Args:
-            outputs: numbers that it computes: ``action_size`` of the actor, 1 of the critic.
-            last_scale: of the last layer's initial kernel; the actor's first actions are small.
+            outputs: size of the output: ``action_size`` for the actor, 1 for the critic.
+            last_scale: scale of the last layer's initial kernel; the actor's is small.
         """
         return MLP((*self.hidden, outputs), self.activation, last_scale)
 
@@ -78,13 +78,13 @@ def initial_params(network: ActorCritic, key: jax.Array, observation_size: int) 
     """Initial parameters of a network.
 
     Raises:
-        InputError: the parameters of a user's network are not of the three names.
+        InputError: the parameters of a user's network do not have these three names.
     """
     params = network.init(key, jnp.zeros(observation_size))["params"]
     if set(params) != set(NAMES):
         raise InputError(
             f"{type(network).__name__} has parameters of {', '.join(sorted(params))}, expected "
-            f"{', '.join(NAMES)}: the networks of policy and value are separate"
+            f"{', '.join(NAMES)}; policy and value share no parameters"
         )
     return params
 

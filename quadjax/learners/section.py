@@ -51,8 +51,8 @@ class Network(Section):
 
     module: Annotated[str | None, Code()] = Field(
         None,
-        description="module:Class of your own quadjax.ActorCritic, which is made with hidden and "
-        "activation; null: perceptrons",
+        description="module:Class of your own subclass of quadjax.ActorCritic, constructed with "
+        "hidden and activation; null: multilayer perceptrons",
     )
     hidden: tuple[Width, ...] = Field(
         (64, 64, 64), min_length=1, max_length=16, description="units of each hidden layer"
@@ -70,7 +70,7 @@ class Network(Section):
         """The Flax module of both networks.
 
         Args:
-            action_size: numbers of an action.
+            action_size: size of an action.
             fields: further fields of ``ActorCritic``.
 
         Raises:
@@ -78,7 +78,9 @@ class Network(Section):
         """
         kind = ActorCritic if self.module is None else load_object(self.module, "network.module")
         if not (isinstance(kind, type) and issubclass(kind, ActorCritic)):
-            raise InputError(f"network.module is {self.module}, expected a quadjax.ActorCritic")
+            raise InputError(
+                f"network.module is {self.module}, expected a subclass of quadjax.ActorCritic"
+            )
         return kind(action_size, self.hidden, self.activation, **fields)
 
 

@@ -19,7 +19,7 @@ starts with. ``meta`` is a JSON string with
 A policy with a network of the user's own (``network.module``) has, in place of ``kernel_0`` .. and
 of the critic's arrays, those of the Flax parameters, such as ``actor/Dense_0/kernel`` and
 ``critic/Dense_0/kernel`` (of the scaled reward), and ``module``, the ``module:Class``, in ``meta``.
-The class is imported only if the config that the user names has it.
+The class is imported only if a config that the user names contains it.
 """
 
 import dataclasses
@@ -151,7 +151,7 @@ class Policy:
         return self.noise_on == "clipped_mean"
 
     def on_device(self) -> PolicyParams:
-        """The numbers of the policy on the device, as ``quadjax.policy.inference`` takes them.
+        """The parameters of the policy on the device, as ``quadjax.policy.inference`` takes them.
 
         Raises:
             InputError: a network of the user's own whose class no config has named.

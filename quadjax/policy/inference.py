@@ -12,7 +12,7 @@ from quadjax.learners.networks import ActorCritic
 
 
 class PolicyParams(struct.PyTreeNode):
-    """A policy's numbers on the device, and the module that takes them."""
+    """A policy's parameters on the device, and the module that applies them."""
 
     params: Mapping[str, Any]  # actor and log_std (actions,)
     network: ActorCritic = struct.field(pytree_node=False)

@@ -190,7 +190,7 @@ def _library(path: Path | str, module: str, extra: str) -> Any:
 def _loading(path: Path | str, what: str) -> Iterator[BinaryIO]:
     """The stream of a file that a library loads in the block, with its errors in one line.
 
-    Their text is left out: that of PyTorch advises to unpickle the file.
+    Their text is left out: PyTorch's recommends unpickling the file.
     """
     with reading(path), open(path, "rb") as stream, warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -198,8 +198,8 @@ def _loading(path: Path | str, what: str) -> Iterator[BinaryIO]:
             yield stream
         except Exception:  # of many kinds for a damaged file
             raise InputError(
-                f"{path}: not {what}: damaged, or with other objects than tensors by name, such as "
-                "a whole module in place of its state_dict()"
+                f"{path}: not {what}: damaged, or with objects other than named tensors, such as a "
+                "whole module instead of its state_dict()"
             ) from None
 
 

@@ -44,8 +44,8 @@ class OwnNetwork:
         """
         if self.network is None:
             raise InputError(
-                f"the policy's network is the class {self.module}, which is imported only if a "
-                f"config that you name has it: network.module={self.module}"
+                f"the policy's network is the class {self.module}; to import it, name a config "
+                f"with network.module={self.module}"
             )
         return self.network
 
@@ -56,7 +56,7 @@ class OwnNetwork:
 
         Args:
             path: of the policy file, for messages.
-            sizes: numbers of an observation and of an action.
+            sizes: of an observation and of an action.
             clip_mean: whether the mean action is clipped before noise is added.
             section: of the config.
 
@@ -88,7 +88,7 @@ def read_own_network(path: Path, arrays: dict[str, np.ndarray], module: str) -> 
     flat = {name: array for name, array in arrays.items() if name.split("/")[0] in PARTS}
     params = traverse_util.unflatten_dict(flat, sep="/")
     if missing := [name for name in PARTS if name not in params]:
-        raise InputError(f"{path}: no array of the {missing[0]} of its network {module}")
+        raise InputError(f"{path}: has no parameters of the {missing[0]} of {module}")
     for name, array in flat.items():
         check_finite(path, name, array)
     return OwnNetwork(module, params)

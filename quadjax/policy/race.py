@@ -38,7 +38,7 @@ def race_of_policy(
     elif policy.config is not None:
         race, origin = stored_config(policy.config, str(name)), "the policy file's config"
     else:
-        raise InputError(f"{name}: has no config, name the config of its race (config=CONFIG)")
+        raise InputError(f"{name}: has no config; name the config of its race (config=CONFIG)")
     if track is not None:
         overrides = [f"track={track}", "rules.position_limit=null"]
         race = race.replace(track=load_config(DEFAULT_CONFIG, overrides).track)

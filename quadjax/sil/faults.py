@@ -51,13 +51,13 @@ class Faults:
 
     @property
     def of_commands(self) -> "Faults":
-        """Those that commands can have, too."""
+        """The faults that commands can have too."""
         return dataclasses.replace(self, nan={}, units=())
 
 
 @dataclasses.dataclass(frozen=True)
 class Sent:
-    """A state or a command under way."""
+    """A state or a command in transit."""
 
     due: float  # s, simulated
     number: int  # of the control step
@@ -72,7 +72,7 @@ class Channel:
     """
 
     def __init__(self, faults: Faults, seed: int, stream: int) -> None:
-        """Nothing is under way; channels of one seed differ by the number of ``stream``."""
+        """Start with nothing in transit; ``stream`` separates channels with the same seed."""
         self.counts: Counter[str] = Counter()
         self._faults, self._waiting = faults, list[Sent]()
         self._random = np.random.default_rng((seed, stream))

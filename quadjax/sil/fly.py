@@ -1,4 +1,4 @@
-"""One race of an autopilot: states go out, commands come back, the drone moves on."""
+"""One race of exported C: each step sends a state, gets a command, simulates the drone."""
 
 import dataclasses
 import threading
@@ -29,7 +29,7 @@ class Race:
 
 @dataclasses.dataclass
 class _Flight:
-    """A race under way."""
+    """A race in progress."""
 
     world: World
     autopilot: ExportedC
@@ -41,7 +41,7 @@ class _Flight:
     applied: int = -1  # newest state whose command was applied
 
     def step(self, now: Now, number: int) -> None:
-        """Exchange state and command of a step; ``held`` is then the command that acts in it."""
+        """Exchange the state and command of a step; ``held`` is then its command."""
         step, before = self.world.step, self.applied
         self.states.push(now.vehicle, number, number * step)
         for sent in self.states.due(number * step):
@@ -57,7 +57,7 @@ class _Flight:
         self.counts["held steps"] += int(self.applied == before)
 
     def _apply(self, sent: Sent) -> None:
-        """Take over a command, unless a newer one was applied."""
+        """Apply a command, unless a newer one was applied."""
         if sent.number <= self.applied:
             self.counts["commands rejected: out of date"] += 1
             return
@@ -101,8 +101,7 @@ def fly(
 ) -> Race:
     """Fly one race.
 
-    The drone waits for the command of every state that arrives, so that a race does not depend on
-    the machine.
+    The simulation waits for every command, so a race does not depend on the computer's speed.
 
     Args:
         world: the drone.

@@ -44,9 +44,9 @@ MEANINGS = {  # of counts
     "held steps": " (no command came: the drone held the last one)",
     "autopilot: nan steps": " (a number of the state was NaN: the C takes zero)",
     "autopilot: clipped steps": " (a number of the state was outside the range that NAME.h "
-    "declares: the C takes the end of the range)",
+    "declares: the C clips it)",
     "autopilot: outside steps": " (an input of the network was outside its declared range: the C "
-    "takes the end of the range)",
+    "clips it)",
 }
 
 

@@ -149,7 +149,7 @@ class SweepFile(Section):
     budget: Budget = Budget()
     executor: Executor = Executor()
     storage: str = Field(
-        JOURNAL, description="journal, or the URL of a database, as Optuna takes it: sqlite:///FILE"
+        JOURNAL, description="journal, or the URL of a database for Optuna, such as sqlite:///FILE"
     )
 
     @model_validator(mode="after")

@@ -149,7 +149,7 @@ def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
         cause = getattr(error.__cause__ or error, "orig", None) or error.__cause__ or error
         reason = (str(cause).strip().splitlines() or [type(cause).__name__])[0]
         if isinstance(cause, ImportError):
-            reason += "; install the driver that the URL of storage names"
+            reason += "; install the driver that the storage URL names"
         raise InputError(f"{where} ({without_secrets(reason, sweep.file.storage)})") from None
 
 

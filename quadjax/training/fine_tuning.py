@@ -27,11 +27,11 @@ def fine_tuning(config: Config, policy: Path | str) -> Config:
         InputError: a policy without a critic, or a config with another initial policy.
     """
     if config.run.initial_policy is not None:
-        raise InputError("--fine-tune and run.initial_policy exclude each other")
+        raise InputError("run.initial_policy is set; fine-tuning sets it to the policy")
     file = policy_file(policy)
     if Policy.load(file).value is None:
         raise InputError(
-            f"--fine-tune: {file} has no critic, allowed: a policy with one; "
+            f"{file} has no critic, which fine-tuning needs; "
             f"run.initial_policy={file} starts with an untrained critic"
         )
     last = with_scheduled_values(config)

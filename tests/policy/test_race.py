@@ -67,7 +67,7 @@ def test_a_file_without_a_config_needs_one_that_is_named(races, tmp_path, capsys
     for words, race in commands(path, tmp_path):
         assert run(*words) == 2
         error = " ".join(capsys.readouterr().err.split())
-        assert "alone.npz: has no config, name the config of its race" in error
+        assert "alone.npz: has no config; name the config of its race" in error
         option = "quadjax evaluate CONFIG" if words[0] == "evaluate" else "--race CONFIG"
         assert f"({option})" in error
         assert run(*words, *race) == 2

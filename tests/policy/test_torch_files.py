@@ -24,7 +24,7 @@ from tests.test_damaged_files import SETTINGS, damaged
 torch = pytest.importorskip("torch", reason="the extra torch is not installed")
 
 SEEN = np.random.default_rng(0).normal(size=(9, 24)).astype(np.float32)
-SAYS = "or with other objects than tensors by name"
+SAYS = "or with objects other than named tensors"
 
 
 def network(*sizes, activation=torch.nn.Tanh):

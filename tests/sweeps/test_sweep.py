@@ -104,7 +104,7 @@ def test_the_command_refuses_in_one_line_without_a_password_and_leaves_nothing(
         (f"sqlite:///{tmp_path}/none.db?timeout=s3cret", "could not convert string to float"),
         (f"sqlite:///{tmp_path}/nowhere/none.db", "unable to open database file"),
         ("mysql://me:s3cret@host/none", "MySQLdb"),
-        ("mysql://me:s3cret@host/none", "; install the driver that the URL of storage names)"),
+        ("mysql://me:s3cret@host/none", "; install the driver that the storage URL names)"),
         ("nonsense://me:s3cret@host/none", "nonsense"),
     ):
         assert run("sweep", sweep_file(tmp_path, storage=url), "--output", runs) == 2

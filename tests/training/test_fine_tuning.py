@@ -43,8 +43,8 @@ def test_the_network_is_that_of_the_file_which_has_a_critic(tmp_path, capsys):
         initial_policy(fine_tuning(make_config("network.hidden=[6, 6]"), file))
     dataclasses.replace(policy, value=None).save(bare)
     for name, more, says in (
-        (bare, (), "bare.npz has no critic, allowed: a policy with one; run.initial_policy="),
-        (bare, (f"run.initial_policy={file}",), "and run.initial_policy exclude each other"),
+        (bare, (), "bare.npz has no critic, which fine-tuning needs; run.initial_policy="),
+        (bare, (f"run.initial_policy={file}",), "run.initial_policy is set; fine-tuning sets it"),
     ):
         taken = ["train", str(BLANK), *more, "--fine-tune", str(name), "--output", str(tmp_path)]
         assert run(taken) == 2

@@ -97,7 +97,7 @@ def test_it_is_trained_saved_and_flown(tmp_path):
 def test_its_class_is_imported_only_from_a_config_that_the_user_names(tmp_path):
     file = tmp_path / "own.npz"
     policy_of(config_of(), first_params(config_of(), 0)).save(file)
-    with pytest.raises(InputError, match=f"class {HERE}:Own, which is imported only if a config"):
+    with pytest.raises(InputError, match=f"class {HERE}:Own; to import it, name a config"):
         Policy.load(file).mean(np.zeros(24, np.float32))
     with pytest.raises(InputError, match=f"its network is {HERE}:Own, the config has .*=null"):
         Policy.load(file, load_config(BLANK))
@@ -124,7 +124,7 @@ WRONG = {
     "Wider": "has shape (5,) but expected (4). [the mean action of the network Wider]",
     "Raises": "NameError: name 'undefined' is not defined",
     "Shares": "parameters of actor, body, critic, log_std, expected actor, critic, log_std",
-    "Normed": "expected a quadjax.ActorCritic",
+    "Normed": "expected a subclass of quadjax.ActorCritic",
 }
 
 

@@ -1,4 +1,4 @@
-/* The firmware's clock of calls around a drone's states, for the software in the loop. */
+/* Calls the firmware at its own rate, between the states of a simulated drone. */
 #include "firmware.h"
 
 #define RPM_PER_RAD_S 9.549296585513721F
@@ -7,7 +7,7 @@
 
 const char *sil_load(void);       /* 0, or why the policy cannot fly */
 uint32_t sil_own_estimator(void); /* whether the policy's estimator of disturbances runs */
-void sil_begin(void);             /* a race begins with the next state */
+void sil_begin(void);             /* the next state starts a race */
 void sil_step(double time_s, const qj_vehicle *state, float to[QJ_COMMANDS]);
 void sil_counts(uint32_t steps[3]); /* of this race: with NaN, clipped, outside */
 
