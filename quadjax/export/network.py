@@ -28,6 +28,7 @@ LARGEST_HIDDEN = 2**INPUT_BITS - 1
 LARGEST_WEIGHT = 2**31 - 1
 # Scales leave this many units of headroom, and one per column, for the rounding of weights.
 HEADROOM = 257
+UNUSED = 2.0**-60  # real value of a unit of an output that is always 0: it limits no later scale
 LARGEST_SHIFT = 32  # of the output: its clamp limits stay below 2^63
 
 
@@ -187,7 +188,7 @@ def _hidden_layer(
     rows, columns = weights.shape
     integers = np.zeros((rows, columns), np.int32)
     biases = np.full(rows, 2 ** (WORD - 1), np.int64)
-    scales, upper = np.ones(rows), np.zeros(rows)
+    scales, upper = np.full(rows, UNUSED), np.zeros(rows)
     magnitude = np.maximum(-low, high)
     lowest, highest = ([round(x) for x in (end / scale_in).tolist()] for end in (low, high))
     margin = 1.0 + 2.0**-20  # rounding of the weights, and of this computation
