@@ -13,10 +13,10 @@ void bench_step(qj_pilot *pilot, const qj_vehicle *vehicle, float *out);
 /* Use a kernel; returns its mismatches in the self-tests. */
 uint32_t bench_kernel(qj_pilot *pilot, uint32_t neon) {
   pilot->policy.kernel = (neon != 0U) ? QJ_NEON : QJ_SCALAR;
-  return qj_self_test(&pilot->policy, &pilot->race);
+  return qj_self_test(&pilot->policy);
 }
 
-/* One inference from an own observation. */
+/* One inference from a given observation. */
 void bench_infer(const qj_pilot *pilot, const float *x, float *out) {
   int32_t q[QJ_MAX_WIDTH];
   int32_t command[QJ_COMMANDS];

@@ -37,8 +37,7 @@ class Board:
 
     def loading(self) -> tuple[int, int]:
         """Instructions and bytes of stack of ``qj_load``."""
-        policy, race = self._machine.reserve(4096), self._machine.reserve(2**18)
-        return self._machine.count("qj_load", policy, race, *self._words)
+        return self._machine.count("qj_load", self._machine.reserve(4096), *self._words)
 
     def rows(self, name: str, columns: int, count: int, *parts: np.ndarray) -> np.ndarray:
         """Rows (count, columns) int32 of a function of the harness."""

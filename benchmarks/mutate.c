@@ -126,7 +126,7 @@ int main(int argc, char **argv) {
     int32_t *const exact = malloc(bytes + (bytes == 0U)); /* a read beyond is seen */
     memcpy(exact, words, bytes);
     const qj_interface interface = {(below(2U) != 0U) ? 0x1FFFFU : random_word(), 14U,
-        (below(2U) != 0U) ? words[QJ_HEADER_PERIOD_NS] : 1U + below(20000000U), below(2U)};
+        (below(2U) != 0U) ? words[QJ_HEADER_PERIOD_NS] : 1U + below(20000000U)};
     const char *const wrong = qj_pilot_load(&pilot, exact, bytes, &interface);
     ++answers[error_of_load];
     if (wrong == 0 && fly(&pilot) != 0) { return 3; }

@@ -20,7 +20,8 @@ def fly(race, plant):
 
 def fit(logs):
     """Fit the model to logs; returns the overrides of a race with it. See FOLDER/report.txt."""
-    config = quadjax.load_fit_config("paparazzi", [f"logs.files={logs}"])
+    words = [f"logs.files={logs}", "residual.mirror=false"]  # this plant's drone is not symmetric
+    config = quadjax.load_fit_config("paparazzi", words)
     quadjax.write_fit(quadjax.fit(config, report=print), FOLDER)
     return [f"vehicle={FOLDER / 'vehicle.yaml'}", f"vehicle.residual={FOLDER / 'residual.npz'}"]
 

@@ -30,10 +30,7 @@ def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, attribute = _PUBLIC[name]
-    owner = importlib.import_module(module)
-    if not hasattr(owner, attribute):  # a module
-        importlib.import_module(f"{module}.{attribute}")
-    value = getattr(owner, attribute)
+    value = getattr(importlib.import_module(module), attribute)
     globals()[name] = value
     return value
 

@@ -1,7 +1,8 @@
 """Code that all packages use.
 
 Numerics: ``vectors``, ``quaternion``, ``frames``, ``trigonometry``, ``gradients``, ``filters``,
-``integrators``, ``mlp``, ``materialize``. ``environment`` is the interface of tasks and learners.
-Configs: ``sections``, their fields as arrays in ``traced``, ``yaml_files``, ``resources``. Files
-and errors: ``files``, ``folders``, ``errors``, ``imports``, ``interruptions``, ``provenance``.
+``integrators``, ``mlp``, ``materialize``, ``shapes``. ``environment`` is the interface of tasks and
+learners. Configs: ``sections``, their fields as arrays in ``traced``, ``yaml_files``,
+``resources``. Files and errors: ``files``, ``folders``, ``errors``, ``imports``, ``interruptions``,
+``provenance``.
 """

@@ -13,11 +13,10 @@ import dataclasses
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-import chex
 import jax
 import jax.numpy as jnp
 
-from quadjax.core.errors import InputError
+from quadjax.core.shapes import check_traced
 
 Params = TypeVar("Params")
 State = TypeVar("State")
@@ -67,25 +66,18 @@ def vectorize(environment: Environment[Params, State]) -> Environment[Params, St
 def _checked(environment: Environment[Params, State]) -> Environment[Params, State]:
     """The environment, whose observation and step are checked while they are traced."""
 
-    def check(what: str, value: jax.Array, shape: tuple[int, ...], kind: type) -> jax.Array:
-        how = {"custom_message": what, "exception_type": InputError}
-        chex.assert_shape(value, shape, **how)
-        chex.assert_type(value, kind, **how)
-        return value
-
     def observe(params: Params, state: State) -> jax.Array:
         seen = environment.observe(params, state)
-        return check(
-            "the observation of the environment", seen, (environment.observation_size,), float
-        )
+        check_traced("the environment's observation", seen, (environment.observation_size,))
+        return seen
 
     def step(
         params: Params, state: State, action: jax.Array
     ) -> tuple[State, jax.Array, jax.Array, jax.Array]:
         following, reward, terminated, truncated = environment.step(params, state, action)
-        check("the reward of the environment's step", reward, (), float)
-        check("terminated of the environment's step", terminated, (), bool)
-        check("truncated of the environment's step", truncated, (), bool)
+        check_traced("the environment's reward", reward, ())
+        check_traced("terminated of the environment's step", terminated, (), bool)
+        check_traced("truncated of the environment's step", truncated, (), bool)
         return following, reward, terminated, truncated
 
     return dataclasses.replace(environment, observe=observe, step=step)

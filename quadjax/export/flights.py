@@ -129,12 +129,10 @@ def fly_float_and_fixed(
     policy: Policy,
     ranges: dict[str, float],
     runs: int,
-    laps: int = 6,
-    seed: int = 1,
 ) -> tuple[Laps, Laps]:
-    """Laps of the float policy and of the fixed-point one, from the same starts."""
+    """Flights of six laps of the float policy and of the fixed-point one, from the same starts."""
     actors = (pilot.fly, fixed_point_fly(policy, ranges))
-    as_float, as_fixed = (_fly(race, actor, runs, laps, seed)[0] for actor in actors)
+    as_float, as_fixed = (_fly(race, actor, runs, laps=6, seed=1)[0] for actor in actors)
     return as_float, as_fixed
 
 

@@ -1,8 +1,5 @@
 """The networks that a learner trains: a Gaussian policy and a value function, one Flax module."""
 
-from typing import Any
-
-import chex
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
@@ -10,8 +7,10 @@ from flax import linen as nn
 from quadjax.core.errors import InputError
 from quadjax.core.gradients import clip_inward
 from quadjax.core.mlp import MLP, Params, apply_module
+from quadjax.core.shapes import check_traced
 
-NAMES = ("actor", "critic", "log_std")  # of the parameters
+PARTS = ("actor", "critic")
+NAMES = (*PARTS, "log_std")  # of the parameters
 
 
 class ActorCritic(nn.Module):
@@ -60,18 +59,16 @@ class ActorCritic(nn.Module):
         ``quadjax.core.gradients.clip_inward``.
         """
         mean = self.actor(observation[..., : observation.shape[-1] - self.privileged_size])
-        self._check("mean action", mean, (*observation.shape[:-1], self.action_size))
+        what = f"the mean action of the network {type(self).__name__}"
+        check_traced(what, mean, (*observation.shape[:-1], self.action_size))
         return clip_inward(mean, -1.0, 1.0) if self.clip_mean else mean
 
     def value(self, observation: jax.Array) -> jax.Array:
         """Value (...) of an observation (..., n)."""
         value = self.critic(observation)
-        self._check("value", value, (*observation.shape[:-1], 1))
+        what = f"the value of the network {type(self).__name__}"
+        check_traced(what, value, (*observation.shape[:-1], 1))
         return value[..., 0]
-
-    def _check(self, what: str, output: jax.Array, shape: tuple[int, ...]) -> None:
-        message = f"the {what} of the network {type(self).__name__}"
-        chex.assert_shape(output, shape, custom_message=message, exception_type=InputError)
 
 
 def initial_params(network: ActorCritic, key: jax.Array, observation_size: int) -> Params:
@@ -80,20 +77,21 @@ def initial_params(network: ActorCritic, key: jax.Array, observation_size: int) 
     Raises:
         InputError: the parameters of a user's network do not have these three names.
     """
-    params = network.init(key, jnp.zeros(observation_size))["params"]
-    if set(params) != set(NAMES):
+    variables = network.init(key, jnp.zeros(observation_size))
+    found = set(variables) - {"params"} | set(variables.get("params", ()))
+    if found != set(NAMES):
         raise InputError(
-            f"{type(network).__name__} has parameters of {', '.join(sorted(params))}, expected "
-            f"{', '.join(NAMES)}; policy and value share no parameters"
+            f"{type(network).__name__} has variables {', '.join(sorted(found))}, expected the "
+            f"parameters {', '.join(NAMES)}; policy and value share none"
         )
-    return params
+    return variables["params"]
 
 
-def mean_action(network: ActorCritic, params: Any, observation: jax.Array) -> jax.Array:
+def mean_action(network: ActorCritic, params: Params, observation: jax.Array) -> jax.Array:
     """Mean action (..., action_size) of a network with given parameters."""
     return apply_module(network, params, observation, "mean")
 
 
-def predict_value(network: ActorCritic, params: Any, observation: jax.Array) -> jax.Array:
+def predict_value(network: ActorCritic, params: Params, observation: jax.Array) -> jax.Array:
     """Value (...) of a network with given parameters."""
     return apply_module(network, params, observation, "value")

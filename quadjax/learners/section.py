@@ -74,7 +74,7 @@ class Network(Section):
             fields: further fields of ``ActorCritic``.
 
         Raises:
-            InputError: ``module`` names no ``ActorCritic``, or one that cannot be made.
+            InputError: ``module`` names no ``ActorCritic``.
         """
         kind = ActorCritic if self.module is None else load_object(self.module, "network.module")
         if not (isinstance(kind, type) and issubclass(kind, ActorCritic)):
@@ -177,9 +177,7 @@ class LearnerSection(Section):
         """
         check_integer("steps", steps, 1, 10**12)
         check_integer("seed", seed, 0, MAX_SEED)
-        if not isinstance(network, ActorCritic):
-            network = (network or Network()).make(environment.action_size)
-        network = network.clone(clip_mean=self.noise_on == "clipped_mean")
+        network = self._network(environment, network)
         learner, plan = self.planned(environment, network, steps, max(1, steps // CHUNKS))
 
         def numbers_at(key: str, value: float | None) -> tuple[Any, Any]:
@@ -212,6 +210,21 @@ class LearnerSection(Section):
             metrics={name: np.concatenate([h[name] for h in history]) for name in history[0]},
             steps=plan.steps,
         )
+
+    def _network(
+        self, environment: Environment, network: Network | ActorCritic | None
+    ) -> ActorCritic:
+        """The module for an environment; the mean action is clipped where the learner needs it."""
+        if network is None or isinstance(network, Network):
+            network = (network or Network()).make(environment.action_size)
+        if not isinstance(network, ActorCritic):
+            raise InputError(f"network is {network!r:.60}, expected a Network or an ActorCritic")
+        if network.action_size != environment.action_size:
+            raise InputError(
+                f"network.action_size is {network.action_size}, the environment takes "
+                f"{environment.action_size}"
+            )
+        return network.clone(clip_mean=self.noise_on == "clipped_mean")
 
 
 def _with_leaf(params: Any, key: str, value: float | None) -> Any:

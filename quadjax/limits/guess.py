@@ -28,8 +28,8 @@ SPREAD = 0.8  # fraction of the openings, within which random points are
 UPRIGHT = 0.15  # smallest vertical part of the force, where the pitch is limited
 
 
-def policy_laps(problem: Problem, config: Config, policy: Path | str) -> list[Trajectory]:
-    """Laps of a policy in a race as trajectories, the fastest first.
+def policy_lap(problem: Problem, config: Config, policy: Path | str) -> Trajectory:
+    """The fastest lap of a policy in a race, as a trajectory.
 
     Raises:
         InputError: the policy completes no lap.
@@ -46,7 +46,7 @@ def policy_laps(problem: Problem, config: Config, policy: Path | str) -> list[Tr
     recorded = from_flight(problem, columns, time_step)
     if not recorded:
         raise InputError(f"{policy}: no whole lap ({flight.crash or 'too few laps'})")
-    return recorded
+    return recorded[0]
 
 
 def from_flight(

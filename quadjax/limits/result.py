@@ -15,7 +15,7 @@ from quadjax.core.provenance import provenance
 from quadjax.flights import flight as recorded
 from quadjax.flights.files import load, save
 from quadjax.flights.flight import SIMULATED
-from quadjax.limits.guess import policy_laps
+from quadjax.limits.guess import policy_lap
 from quadjax.limits.problem import TIME_STEP, Flight, Problem, make_problem
 from quadjax.limits.search import MESH_CHANGE, BestKnown, NotFoundError, Search
 from quadjax.limits.trajectory import Trajectory
@@ -134,7 +134,7 @@ def best_known(
     trajectories = {str(path): read_guess(problem, path) for path in guesses}
     report("compiling")
     if policy is not None:
-        trajectories["policy's lap"], *_ = policy_laps(problem, config, policy)
+        trajectories["policy's lap"] = policy_lap(problem, config, policy)
     best = Search(problem, seconds, stop, report).run(trajectories, starts)
     return Result(config, problem, best, None if policy is None else str(policy))
 

@@ -63,6 +63,7 @@ class Meta(Section):
     command_high: Commands
     output: Literal["clip"] = "clip"
     noise_on: Literal["mean", "clipped_mean"] = "mean"
+    module: Annotated[str, Field(pattern=r"^[\w.]+:[\w.]+$", max_length=200)] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,7 +144,17 @@ class Policy:
         race = load_config(config) if isinstance(config, Path | str) else config
         sizes, clip_mean = (policy.layout.size, len(policy.log_std)), policy.clip_mean
         own = policy.own.bind(path, sizes, clip_mean, race.network)
+        if race.network.activation != policy.activation:
+            raise InputError(
+                f"{path}: its network has the activation {policy.activation}, the config has "
+                f"network.activation={race.network.activation}"
+            )
         return dataclasses.replace(policy, own=own)
+
+    @property
+    def has_critic(self) -> bool:
+        """Whether the file has the critic, with which a training can start."""
+        return self.value is not None if self.own is None else "critic" in self.own.params
 
     @property
     def clip_mean(self) -> bool:
@@ -232,11 +243,11 @@ class Policy:
 def _read(path: Path) -> Policy:
     """The policy of a file of this project."""
     arrays, meta = read_npz(path, FORMAT)
-    own = read_own_network(path, arrays, meta["module"]) if "module" in meta else None
-    layers = tuple(read_layers(path, arrays)) if own is None else ()
-    actions = layers[-1][0].shape[1] if layers else np.size(arrays.get("log_std", ()))
     values = {key: meta[key] for key in Meta.model_fields if key in meta}
     stated = validate(Meta, values, f"{path}: meta")
+    own = read_own_network(path, arrays, stated.module) if stated.module else None
+    layers = tuple(read_layers(path, arrays)) if own is None else ()
+    actions = layers[-1][0].shape[1] if layers else max(1, np.size(arrays.get("log_std", ())))
     low, high = np.array(stated.command_low), np.array(stated.command_high)
     if not len(low) == len(high) == actions or not np.all(low < high):
         raise InputError(

@@ -11,10 +11,8 @@ from flax import traverse_util
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite
-from quadjax.learners.networks import ActorCritic, initial_params
+from quadjax.learners.networks import PARTS, ActorCritic, initial_params
 from quadjax.learners.section import Network
-
-PARTS = ("actor", "critic")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,7 +21,7 @@ class OwnNetwork:
 
     Attributes:
         module: ``module:Class`` of the ``ActorCritic``.
-        params: parameters of ``actor`` and ``critic``.
+        params: parameters of ``actor`` and, unless it observes more, of ``critic``.
         network: the module; None until it is bound to a config that the user named.
     """
 
@@ -70,7 +68,7 @@ class OwnNetwork:
             )
         network = section.make(sizes[1], clip_mean=clip_mean)
         expected = jax.eval_shape(lambda: initial_params(network, jax.random.key(0), sizes[0]))
-        shapes = {x: expected[x] for x in PARTS}
+        shapes = {x: expected[x] for x in self.params}
         if jax.tree.map(np.shape, self.params) != jax.tree.map(lambda x: x.shape, shapes):
             raise InputError(
                 f"{path}: its arrays are not the parameters of {self.module} with network.hidden="
@@ -86,9 +84,12 @@ def read_own_network(path: Path, arrays: dict[str, np.ndarray], module: str) -> 
         InputError: no such arrays, or a number that is not finite.
     """
     flat = {name: array for name, array in arrays.items() if name.split("/")[0] in PARTS}
+    if "actor" not in (name.split("/")[0] for name in flat):
+        raise InputError(f"{path}: has no parameters of the actor of {module}")
+    for name in flat:
+        if any(other.startswith(f"{name}/") for other in flat):
+            raise InputError(f"{path}: {name} is an array and a group of arrays")
     params = traverse_util.unflatten_dict(flat, sep="/")
-    if missing := [name for name in PARTS if name not in params]:
-        raise InputError(f"{path}: has no parameters of the {missing[0]} of {module}")
     for name, array in flat.items():
         check_finite(path, name, array)
     return OwnNetwork(module, params)

@@ -26,7 +26,8 @@ from quadjax.vehicle import estimator
 from quadjax.vehicle.battery import BatteryState, battery_at_start, draw_battery
 from quadjax.vehicle.protocol import Constants, Motion, State, VehicleModel
 
-# Streams of random numbers, folded into the key of a start. Its ``Draws`` are of the key itself.
+# Streams of random numbers, folded into the key of a start; another number changes the draws. The
+# ``Draws`` of a start are of the key itself.
 ALONG_LEG, BATTERY, TRACK, RACE_START, AROUND_HOVER = 1, 2, 3, 5, 6
 AROUND_START, YAW_OF_START = 0.5, math.pi / 4.0  # half-widths of x and y, m, and of the yaw, rad
 

@@ -80,8 +80,7 @@ class Channel:
     def push(self, data: np.ndarray, number: int, now: float) -> None:
         """Send the state or command of a control step at a simulated time, s."""
         faults, data = self._faults, data.copy()
-        # Three numbers each, so that a seed keeps its faults.
-        drop, delay, _ = self._random.uniform(size=3)
+        drop, delay, _ = self._random.uniform(size=3)  # two numbers would change every seed
         self._alter(data)
         dropped, late = drop < faults.drop, delay < faults.late
         self.counts["dropped"] += int(dropped)

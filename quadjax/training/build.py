@@ -15,7 +15,7 @@ from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.mlp import Layers, Params, to_layers, to_params
 from quadjax.learners.loop import Plan
-from quadjax.learners.networks import ActorCritic, initial_params
+from quadjax.learners.networks import PARTS, ActorCritic, initial_params
 from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Layers as FileLayers
@@ -137,20 +137,18 @@ def initial_policy(config: Config) -> Policy | None:
     """
     if config.run.initial_policy is None:
         return None
-    policy = Policy.load(config.run.initial_policy, config)
-    widths = [int(kernel.shape[1]) for kernel, _ in policy.layers[:-1]]
-    wanted = list(config.network.hidden)
-    critic_widths = (
-        wanted if policy.value is None else [int(k.shape[1]) for k, _ in policy.value[:-1]]
-    )
-    for name, value, allowed in (
+    policy, hidden = Policy.load(config.run.initial_policy, config), list(config.network.hidden)
+    checks: list[tuple[str, object, object]] = [
         ("network", policy.own.module if policy.own else None, config.network.module),
         ("vehicle", policy.vehicle, base_model(config.vehicle.model).name),
         ("observation", list(policy.layout.names), list(make_choices(config).layout.names)),
-        ("hidden widths", widths, wanted if policy.own is None else []),
-        ("hidden widths of the value", critic_widths, wanted),
         ("activation", policy.activation, config.network.activation),
-    ):
+    ]
+    networks = {"hidden widths": policy.layers, "hidden widths of the value": policy.value or ()}
+    for name, layers in networks.items():
+        if layers:
+            checks.append((name, [len(bias) for _, bias in layers[:-1]], hidden))
+    for name, value, allowed in checks:
         if value != allowed:
             raise InputError(
                 f"{config.run.initial_policy} (--fine-tune or run.initial_policy) has {name} "
@@ -172,12 +170,23 @@ def with_policy(
     """
     log_std = jnp.asarray(policy.log_std, jnp.float32)
     if policy.own is not None:
-        return {**jax.tree.map(jnp.asarray, policy.own.params), "log_std": log_std}
+        own = jax.tree.map(jnp.asarray, policy.own.params)
+        if not _has_critic_of(policy, params["critic"], scale):
+            own["critic"] = params["critic"]
+        return {**own, "log_std": log_std}
     inverse, critic = [1.0 / x for x in inputs], params["critic"]
     if policy.value is not None and policy.value[0][0].shape == critic["Dense_0"]["kernel"].shape:
         critic = to_params(_rescaled(policy.value, inverse, scale))
     actor = to_params(_rescaled(policy.layers, inverse))
     return {"actor": actor, "critic": critic, "log_std": log_std}
+
+
+def _has_critic_of(policy: Policy, critic: Params, scale: float) -> bool:
+    """Whether a network of the user's own has a critic of the same shapes and unit of values."""
+    own = policy.own.params.get("critic") if policy.own else None
+    learner = (policy.config or {}).get("learner", {})
+    shapes = [jax.tree.map(np.shape, tree) for tree in (own, critic)]
+    return shapes[0] == shapes[1] and learner.get("reward_scale", 1.0) == scale
 
 
 def _rescaled(layers: Layers, inputs: Sequence[float] = (), output: float = 1.0) -> Layers:
@@ -259,7 +268,7 @@ def _parts_of_policy(
     """
     if config.network.module is not None:
         network = make_network(config).clone(privileged_size=0)
-        parts = {name: params[name] for name in ("actor", "critic")}
+        parts = {name: params[name] for name in PARTS[: 1 if privileged_constants(config) else 2]}
         return (), None, OwnNetwork(config.network.module, parts, network)
     inputs, value = input_scale(config), None
     if not privileged_constants(config):

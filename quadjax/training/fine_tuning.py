@@ -29,7 +29,7 @@ def fine_tuning(config: Config, policy: Path | str) -> Config:
     if config.run.initial_policy is not None:
         raise InputError("run.initial_policy is set; fine-tuning sets it to the policy")
     file = policy_file(policy)
-    if Policy.load(file).value is None:
+    if not Policy.load(file).has_critic:
         raise InputError(
             f"{file} has no critic, which fine-tuning needs; "
             f"run.initial_policy={file} starts with an untrained critic"

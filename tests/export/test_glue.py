@@ -66,7 +66,7 @@ every = pytest.mark.parametrize("glue", GLUES, indirect=True)
 @every
 def test_commands_are_those_of_numpy(glue):
     assert glue.wrong is None
-    rows, target = random_vehicles(glue.fixed, 25), glue.converted.options.target
+    rows, target = random_vehicles(25), glue.converted.options.target
     for race in range(1 if target == "cortex-a9" else 2):  # the second race starts over
         assert race == 0 or not glue.step(rows[:1], flies=False).any()
         found = [glue.step(row[None]).copy() for row in rows]
@@ -80,7 +80,7 @@ def test_commands_are_those_of_numpy(glue):
 @every
 def test_numbers_of_any_bits_give_commands_in_range(glue):
     network, rng = glue.fixed.network, np.random.default_rng(3)
-    rows = np.zeros(300, random_vehicles(glue.fixed, 1).dtype)
+    rows = np.zeros(300, random_vehicles(1).dtype)
     for name in rows.dtype.names[1:]:
         bits = rng.integers(0, 2**32, rows[name].shape, dtype=np.uint32)
         rows[name] = bits.view(np.float32)
@@ -93,7 +93,7 @@ def test_numbers_of_any_bits_give_commands_in_range(glue):
 @pytest.mark.parametrize("sampled", [False, True])
 def test_paparazzi_gets_rates_and_thrust(sampled, tmp_path):
     glue = Glue(tmp_path, "cortex-a9", "indi and more", sampled=sampled)
-    rows = random_vehicles(glue.fixed, 10)
+    rows = random_vehicles(10)
     for _ in range(1 if sampled else 2):  # the noise does not start over
         found = [glue.step(row[None]).copy() for row in rows]
         np.testing.assert_array_equal(found, glue.emulated(rows))
@@ -106,7 +106,7 @@ def test_paparazzi_gets_rates_and_thrust(sampled, tmp_path):
 def test_a_changed_weight_does_not_fly(target, tmp_path):
     glue = Glue(tmp_path, target, change=with_flipped_weight)
     assert glue.wrong == "self-test fails"
-    assert not glue.step(random_vehicles(glue.fixed, 1)).any() and not glue.autopilot.armed
+    assert not glue.step(random_vehicles(1)).any() and not glue.autopilot.armed
 
 
 @pytest.mark.slow

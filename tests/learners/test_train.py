@@ -56,10 +56,30 @@ def test_training_finds_the_best_action(name):
     assert result.parameters["actor"]["Dense_0"]["kernel"].shape == (3, 16)
 
 
+class Constant(nn.Module):
+    """Numbers that do not depend on the input."""
+
+    outputs: int
+
+    @nn.compact
+    def __call__(self, inputs):
+        number = self.param("number", nn.initializers.zeros, (self.outputs,))
+        return jnp.broadcast_to(number, (*inputs.shape[:-1], self.outputs))
+
+
+class Constants(ActorCritic):
+    """Networks of the user's own."""
+
+    def make_network(self, outputs, last_scale):
+        return Constant(outputs)
+
+
 WRONG = (
     ({"steps": 0}, "steps is 0, allowed: an integer, 1 "),
     ({"schedules": {"learning_rat": [1.0, 0.0]}}, "learning_rat is neither a hyperparameter nor"),
     ({"schedules": {"num_epochs": [2, 3]}}, "num_epochs cannot be scheduled"),
+    ({"network": Constants}, "network is <class .*Constants.>, expected a Network or an ActorC"),
+    ({"network": Constants(3)}, "network.action_size is 3, the environment takes 1"),
 )
 
 
@@ -93,24 +113,6 @@ class Ascent(LearnerSection):
             return new, {"reward": reward(weights, params, keys[0])}
 
         return Learner(init, update, {}, self.num_envs)
-
-
-class Constant(nn.Module):
-    """Numbers that do not depend on the input."""
-
-    outputs: int
-
-    @nn.compact
-    def __call__(self, inputs):
-        number = self.param("number", nn.initializers.zeros, (self.outputs,))
-        return jnp.broadcast_to(number, (*inputs.shape[:-1], self.outputs))
-
-
-class Constants(ActorCritic):
-    """Networks of the user's own."""
-
-    def make_network(self, outputs, last_scale):
-        return Constant(outputs)
 
 
 @pytest.mark.parametrize("network", [NETWORK, Constants(1)], ids=["a perceptron", "own networks"])

@@ -7,13 +7,14 @@ import os
 import pickle
 import zipfile
 
-import jax
+import chex
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from quadjax.core.errors import InputError
+from quadjax.core.mlp import to_layers
 from quadjax.policy.file import Policy
 from quadjax.policy.network_files import read_network
 from quadjax.vehicle.residual import read_residual
@@ -69,9 +70,8 @@ def test_a_residual_of_two_state_dicts(tmp_path):
     residual = read_residual(out)
     for name, module in zip(names, modules, strict=True):
         arrays = [tensor.detach().numpy().T for tensor in module.parameters()]
-        jax.tree.map(
-            np.testing.assert_array_equal, jax.tree.leaves(getattr(residual, name)), arrays
-        )
+        layers = [array for layer in to_layers(getattr(residual, name)) for array in layer]
+        chex.assert_trees_all_equal(layers, arrays)
 
 
 class Evil:

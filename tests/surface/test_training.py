@@ -133,14 +133,7 @@ def test_a_run_in_python_is_that_of_the_command_to_the_bit(trained, tmp_path):
 def test_the_race_is_three_pure_functions_and_numbers_compile_nothing_again():
     config = short_config("e2e")
     environment, params = quadjax.make_race(config)
-    count = 0
-
-    @jax.jit
-    def transition(params, state, action):
-        nonlocal count
-        count += 1
-        return environment.step(params, state, action)
-
+    transition = jax.jit(chex.assert_max_traces(environment.step, n=1))
     state = environment.reset(params, jax.random.key(0))
     observation = environment.observe(params, state)
     action = np.zeros(4, np.float32)
@@ -151,7 +144,6 @@ def test_the_race_is_three_pure_functions_and_numbers_compile_nothing_again():
         short_config("e2e", "reward.body_rates=0.01", "vehicle.constants.k_w=3e-8")
     )[1]
     changed = transition(other, state, action)
-    assert count == 1
     assert not np.array_equal(first[1], changed[1])
     assert observation.ndim == 1 and observation.dtype == np.float32
     assert first[1].shape == () and first[2].dtype == bool and first[3].dtype == bool

@@ -79,7 +79,7 @@ def compare_glue(sources: Sources, policy: FixedPolicy, work: Path) -> str:
     require(glue.wrong is None, f"the glue rejects the policy: {glue.wrong}")
     held = LAST_ACTION in policy.race.box.layout
     calls = calls_per_step(1e9 / sources.call_ns, policy.race.time_step) if held else 1
-    emulated, rows = PilotEmulator(policy, calls), random_vehicles(policy, GLUE_STEPS)
+    emulated, rows = PilotEmulator(policy, calls), random_vehicles(GLUE_STEPS)
     network = policy.network
     span = (network.command_high - network.command_low) * 0.5**network.fraction_bits
     worst, now = 0.0, 0.0
@@ -96,7 +96,7 @@ def compare_glue(sources: Sources, policy: FixedPolicy, work: Path) -> str:
     )
 
 
-def random_vehicles(policy: FixedPolicy, count: int) -> np.ndarray:
+def random_vehicles(count: int) -> np.ndarray:
     """States (count,) of ``VEHICLE`` in flight, in numbers that every autopilot represents."""
     rng, vehicles = np.random.default_rng(1), np.zeros(count, VEHICLE)
     for name in ("position", "velocity", "rates", "body_velocity"):
