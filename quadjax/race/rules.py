@@ -19,6 +19,7 @@ from quadjax.vehicle.protocol import VehicleModel
 
 Rate = Annotated[float, Field(gt=0, le=1e6)]
 BENEATH = 0.5  # m, deepest position of a take-off: the ground itself is not simulated
+SHORT = 1e-9  # m, of a step; a shorter one is along a plane
 
 
 @register
@@ -62,8 +63,9 @@ class Rules(Section):
         0.0,
         ge=0,
         le=10,
-        description="width of the solid frame around the opening of every gate, m; 0: a collision "
-        "only where the plane of the target gate is crossed outside its opening",
+        description="width of the solid frame around the opening of every gate, m, which the line "
+        "between two samples may not touch; 0: a collision only where the plane of the target gate "
+        "is crossed outside its opening",
     )
     gate_depth: float = Field(
         0.1, gt=0, le=10, description="depth of the frames, half of it on each side, m"
@@ -149,6 +151,44 @@ def crossing(
     return crossed & inside, crossed & ~inside
 
 
+def meets_opening(one: Vec3, other: Vec3, g: Gate, inflation: Scalar) -> jax.Array:
+    """Whether a line between positions in the opening's frame is partly within the opening.
+
+    By separating axes: those of the rectangle and the normal of the line.
+    """
+    middle, half = (one + other) * 0.5, (other - one) * 0.5
+    width, height = g.half_width + inflation, g.half_height + inflation
+    meets = jnp.abs(middle.y) <= width + jnp.abs(half.y)
+    meets &= jnp.abs(middle.z) <= height + jnp.abs(half.z)
+    aside = jnp.abs(middle.y * half.z - middle.z * half.y)
+    meets &= aside <= width * jnp.abs(half.z) + height * jnp.abs(half.y)
+    if g.circle is None:
+        return meets
+    along = -(middle.y * half.y + middle.z * half.z)
+    along = along / jnp.maximum(half.y * half.y + half.z * half.z, SHORT**2)
+    nearest = middle + half * along.clip(-1.0, 1.0)
+    return jnp.where(g.circle, inside_opening(nearest, g, inflation), meets)
+
+
+def touches_frame(
+    before: Vec3, after: Vec3, g: Gate, inner: Scalar, outer: Scalar, depth: Scalar
+) -> jax.Array:
+    """Whether the straight line of a step touches the solid frame of a gate: a () bool.
+
+    The frame is between the openings that are wider by ``inner`` and by ``outer`` (), m, on each
+    side, up to ``depth`` (), m, from the gate's plane.
+    """
+    start = to_opening_frame(g, before - g.position)
+    way = to_opening_frame(g, after - g.position) - start
+    through = jnp.where(jnp.abs(way.x) < SHORT, SHORT, way.x)
+    middle, half = -start.x / through, depth / jnp.abs(through)  # of the part within the depth
+    first, last = jnp.maximum(middle - half, 0.0), jnp.minimum(middle + half, 1.0)
+    ends = start + way * first, start + way * last
+    passes = inside_opening(ends[0], g, inner) & inside_opening(ends[1], g, inner)
+    solid = (first <= last) & (outer > inner)
+    return solid & ~passes & meets_opening(*ends, g, outer)
+
+
 def pass_or_hit(step: Step) -> tuple[jax.Array, jax.Array]:
     """Whether a step passes its target gate, and whether it crosses the plane outside of it."""
     inflation, radius = step.params.training_limits.gate_inflation, step.params.rules.body_radius
@@ -158,7 +198,7 @@ def pass_or_hit(step: Step) -> tuple[jax.Array, jax.Array]:
 
 
 def hits_a_gate(step: Step) -> jax.Array:
-    """Whether the drone misses the opening of its gate, or touches a solid frame of any gate.
+    """Whether the drone misses the opening of its gate, or its step touches a frame of any gate.
 
     Wider openings of the training do not move the outer edges of the frames.
     """
@@ -167,12 +207,10 @@ def hits_a_gate(step: Step) -> jax.Array:
         return hit
     wider = jnp.maximum(step.params.training_limits.gate_inflation, 0.0)
     touched, radius = jnp.zeros((), bool), step.body_radius
+    sizes = wider - radius, rules.gate_frame + radius, 0.5 * rules.gate_depth + radius
     for index in range(gate_count(track)):
-        g = gate(track, index)
-        relative = to_opening_frame(g, step.position - g.position)
-        solid = ~inside_opening(relative, g, wider - radius)
-        solid &= inside_opening(relative, g, rules.gate_frame + radius)
-        touched |= solid & (jnp.abs(relative.x) <= 0.5 * rules.gate_depth + radius)
+        line = step.before.position, step.position
+        touched |= touches_frame(*line, gate(track, index), *sizes)
     return hit | touched
 
 
