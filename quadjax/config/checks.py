@@ -12,6 +12,7 @@ from quadjax.config.schema import Config, Schedule
 from quadjax.core.errors import InputError, close_match, prefixed, short
 from quadjax.core.section_keys import fields_at, value_at
 from quadjax.core.sections import BadValue, refuse
+from quadjax.race.random_track import FARTHEST
 from quadjax.vehicle.constants import declarations
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import base_model
@@ -243,7 +244,8 @@ def _check_place(config: Config, key: str, place: Sequence[float], ground: bool 
     if z >= 0:
         refuse(key, place, "z below 0 (above ground; 0 at a start with rules.ground_speed)")
     if limit is not None and far >= limit:
-        remedy = f"a track file may set rules: {{position_limit: {1.5 * far:g}}}"
+        room = f"{1.5 * far:g}" if 1.5 * far <= FARTHEST else "null"
+        remedy = f"a track file may set rules: {{position_limit: {room}}}"
         refuse(key, place, f"|x| and |y| below rules.position_limit, {limit:g} m; {remedy}")
     for axis, p, (low, high) in zip("xyz", (x, y, z), config.rules.bounds or (), strict=False):
         if not low < p < high:

@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 
 from quadjax.core.sections import ORDERED, Field, Section, Unit
 from quadjax.core.traced import UnusedAtZero, register
-from quadjax.race.random_track import RandomTracks
-from quadjax.race.track import Coordinate
+from quadjax.race.random_track import FARTHEST, RandomTracks
 from quadjax.vehicle.protocol import VehicleModel
 
 HalfWidth = Annotated[float, Field(ge=0, le=1e6)]
+Moment = Annotated[float, Field(ge=-1e6, le=1e6)]
 Share = Annotated[float, Field(ge=0, le=0.9)]
 FROM_GROUND = 0.1  # default fraction of the episodes that begin on the ground, where races do
 
@@ -48,8 +48,8 @@ class Start(Section):
         "(or in the last gate), x and y within 0.5 m, yaw within 45 deg; null: 0.1 where the "
         "track's start is on the ground, else 0",
     )
-    position: Annotated[HalfWidth, Unit("m")] = Field(
-        0.5, description="half-width about the point on the leg, m"
+    position: Annotated[float, Unit("m")] = Field(
+        0.5, ge=0, le=FARTHEST, description="half-width about the point on the leg, m"
     )
     velocity: Annotated[HalfWidth, Unit("m/s")] = Field(
         0.5, description="half-width of each component, m/s"
@@ -80,7 +80,7 @@ class Disturbance(Section):
         0.0, description="half-width, N m with model motor, else rad/s^2; the paper: 0.01"
     )
     force_z: HalfWidth = Field(0.0, description="half-width, m/s^2; the paper: 0.5")
-    moment_bias: tuple[Coordinate, Coordinate, Coordinate] = Field(
+    moment_bias: tuple[Moment, Moment, Moment] = Field(
         (0.0, 0.0, 0.0), description="moment added in every episode, in the unit of moment_x, body"
     )
 

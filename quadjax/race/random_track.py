@@ -18,6 +18,7 @@ from quadjax.core.yaml_files import Tree
 Length = Annotated[float, Field(gt=0, le=1000)]
 ATTEMPTS, ROUNDS = 40, 600
 FAR = 1e6  # m, no largest distance
+FARTHEST = 1e4  # m from the origin: positions are float32, whose step is 1 mm there
 SLACK = 0.03  # m and fraction by which drawn values are inside the allowed ones
 DEPTH = 0.2  # m, room for the depth of two frames
 ACROSS = 85.0  # deg, largest angle between a leg and the direction of its gate
@@ -99,7 +100,7 @@ def generate(track: RandomTrack) -> Tree:
     The center of the track is at the origin, and ``rules.position_limit`` has room around it.
 
     Raises:
-        InputError: no track found with these settings.
+        InputError: no track found with these settings, or one beyond ``FARTHEST``.
     """
     rng = np.random.default_rng(track.seed)
     for _ in range(ATTEMPTS):
@@ -108,6 +109,11 @@ def generate(track: RandomTrack) -> Tree:
         if _allowed(track, places):
             gates = _gates(rng, track, places)
             limit = float(np.ceil(np.abs(places).max() + MARGIN))
+            if limit > FARTHEST:
+                raise InputError(
+                    f"gates {track.gates} and leg {list(track.leg)} need a position_limit of "
+                    f"{limit:g} m, allowed: at most {FARTHEST:g}"
+                )
             return {"gates": gates, "rules": {"position_limit": limit}}
     raise InputError(
         f"found no track with gates {track.gates}, leg {list(track.leg)} and "

@@ -13,6 +13,7 @@ from quadjax.core.imports import user_numbers
 from quadjax.core.sections import Code, Field, Section, Unit
 from quadjax.core.traced import Traced, UnusedAtZero, register
 from quadjax.core.vectors import Vec3, safe_norm
+from quadjax.race.random_track import FARTHEST
 from quadjax.race.track import Gate, Span, gate, gate_count, to_opening_frame
 from quadjax.race.types import Outcome, Step, UserFunctions
 from quadjax.vehicle.protocol import VehicleModel
@@ -42,7 +43,7 @@ class Rules(Section):
         description="radius of the drone, m, by which openings, bounds and ground are closer",
     )
     position_limit: float | None = Field(
-        10.0, gt=0, le=1e6, description="largest |x| and |y|, m; null: none"
+        10.0, gt=0, le=FARTHEST, description="largest |x| and |y|, m; null: none"
     )
     bounds: tuple[Span, Span, Span] | None = Field(
         None,

@@ -14,9 +14,9 @@ from quadjax.core.frames import Attitude, body_to_world, world_to_body, wrap_ang
 from quadjax.core.sections import ORDERED, Field, Section
 from quadjax.core.trigonometry import sincos
 from quadjax.core.vectors import Vec3
-from quadjax.race.random_track import RandomTrack, RandomTracks, generate
+from quadjax.race.random_track import FARTHEST, RandomTrack, RandomTracks, generate
 
-Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
+Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 Span = Annotated[tuple[Coordinate, Coordinate], ORDERED]
 AHEAD = 5.0  # m, from the last gate of a course to the gate that is observed after it
 TURN = np.float32(2.0 * np.pi)  # rad
@@ -27,7 +27,8 @@ class GateSection(Section):
     """One gate, in the world frame."""
 
     position: tuple[Coordinate, Coordinate, Coordinate] = Field(
-        description="center x, y, z, m; z < 0 is above 0"
+        description="center x, y, z, m; z < 0 is above 0; at most 10 km from the origin, where "
+        "float32 has steps of 1 mm"
     )
     yaw_deg: float = Field(0.0, ge=-720, le=720, description="direction of passage, deg")
     size: tuple[Annotated[float, Field(gt=0, le=100)], Annotated[float, Field(gt=0, le=100)]] = (

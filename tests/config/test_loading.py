@@ -239,6 +239,16 @@ track.generate.turn_deg=20 | found no track with gates 8, leg [3.0, 8.0] and tur
 track.generate.seed=1 track.closed=false | track.closed has no effect
 track=square4 track.generate.seed=1 | track.gates has no effect
 track.generate.seed=1 rules.position_limit=3 | track.gates[0].position is
+'track.gates=[{position: [5e5, 0, -2]}, {position: [0, 0, -2]}]' | position[0] is 500000, allowed: \
+less than or equal to 10000
+'track.gates=[{position: [0, 0, -2]}, {position: [9000, -10001, -2]}]' | position[1] is -10001, a
+'track.gates=[{position: [0, 0, -2]}, {position: [9000, 0, -2]}]' | set rules: {position_limit: null
+'track.gates=[{position: [0, 0, -2]}, {position: [6000, 0, -2]}]' | rules: {position_limit: 9000}
+'track.start={position: [0, 20000, -1]}' | track.start.position[1] is 20000, allowed: less than
+rules.position_limit=20000 | position_limit is 20000, allowed: less than or equal to 10000
+'rules.bounds=[[-5, 5], [-5, 3e4], [-5, 0]]' | rules.bounds[1][1] is 30000, allowed: less than
+start.position=20000 | start.position is 20000, allowed: less than or equal to 10000
+'track.generate={gates: 100, leg: [900, 1000], turn_deg: 60}' | need a position_limit of 13267 m
 observation.critic_constants=true | critic_constants is true, allowed: false where rand
 randomization.all=0.2 randomization.width=0 observation.critic_constants=true | critic_constants is
 track.closed=false 'track.start={position: [0, 0, -1]}' 'evaluate={laps: 1, gates: 3}' | null with
