@@ -13,6 +13,7 @@ from quadjax.core.errors import InputError, close_match, prefixed, short
 from quadjax.core.section_keys import fields_at, value_at
 from quadjax.core.sections import BadValue, refuse
 from quadjax.race.random_track import FARTHEST
+from quadjax.race.track import check_lap
 from quadjax.vehicle.constants import declarations
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import base_model
@@ -272,6 +273,7 @@ def _check_gate(config: Config, index: int) -> None:
         refuse("rules.gate_test", "world_box", f"square, because {key} is tilted or round")
     _check_place(config, f"{key}.position", gate.position)
     before = gates[index - 1].position
-    follows = index > 0 or (config.track.closed and len(gates) > 1)
+    follows = index > 0 or config.track.closed
     if follows and math.dist(before, gate.position) < SMALLEST_LEG:
+        check_lap(config.track)
         refuse(f"{key}.position", gate.position, "another place than the gate before it")

@@ -17,7 +17,7 @@ from quadjax.config.schema import Config, Location, Rules, Vehicle, WithUnit
 from quadjax.core.section_keys import dotted, fields_at
 from quadjax.core.sections import LARGEST, BadValue, Section, refuse, unit_of, validate
 from quadjax.core.yaml_files import Tree
-from quadjax.race.track import TrackSection
+from quadjax.race.track import TrackSection, check_lap
 from quadjax.vehicle.registry import base_model
 
 GRAVITY = 9.81
@@ -84,6 +84,7 @@ def race_scales(track: TrackSection, vehicle: Vehicle, time_step: float) -> Scal
     Raises:
         InputError: a vehicle model that defines no thrust-to-weight ratio, or a lap of one gate.
     """
+    check_lap(track)
     model = base_model(vehicle.model)
     thrust = model.thrust_to_weight(model.make_constants(vehicle.constants))
     if thrust is None:
@@ -92,10 +93,10 @@ def race_scales(track: TrackSection, vehicle: Vehicle, time_step: float) -> Scal
     ratio = max(float(thrust), LEAST_RATIO)
     centers = np.array([gate.position for gate in track.gates], np.float64)
     lengths = np.linalg.norm(np.roll(centers, -1, axis=0) - centers, axis=1)
-    if track.closed and len(lengths) == 1:
-        allowed = "two gates or more, or numbers without units of the race"
-        refuse("track.gates", f"{len(lengths)} gate", allowed)
-    legs = lengths if track.closed or len(lengths) == 1 else lengths[:-1]
+    legs = lengths if track.closed else lengths[:-1]
+    if len(centers) == 1:  # of a course: the way from its start
+        start = centers[0] if track.start is None else track.start.position
+        legs = np.linalg.norm(centers - start, axis=1)
     half_gate = 0.5 * min(size for gate in track.gates for size in gate.size)
     return Scales(
         leg=max(float(legs.mean()), SHORTEST),

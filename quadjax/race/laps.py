@@ -265,6 +265,9 @@ def laps_of(choices: Choices, race: LapState, dt: float, limit: float) -> Laps:
 
 
 def lap_length(track: Track) -> float:
-    """Length of a lap along straight lines from gate to gate, m."""
+    """Length of a lap along straight lines from gate to gate, or of a course from its start, m."""
     centers = np.stack([np.asarray(x, np.float64) for x in track.position.components()], axis=-1)
-    return float(np.linalg.norm(np.roll(centers, -1, axis=0) - centers, axis=1).sum())
+    before = np.roll(centers, 1, axis=0)
+    if not track.closed and track.start is not None:
+        before[0] = [float(x) for x in track.start.position.components()]
+    return float(np.linalg.norm(centers - before, axis=1).sum())

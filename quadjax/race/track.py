@@ -11,7 +11,7 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.frames import Attitude, body_to_world, world_to_body, wrap_angle
-from quadjax.core.sections import ORDERED, Field, Section
+from quadjax.core.sections import ORDERED, Field, Section, refuse
 from quadjax.core.trigonometry import sincos
 from quadjax.core.vectors import Vec3
 from quadjax.race.random_track import FARTHEST, RandomTrack, RandomTracks, generate
@@ -102,6 +102,16 @@ class TrackSection(Section):
         description="whether the first gate follows the last; false: a course, which ends at the "
         "last gate and needs a start",
     )
+
+
+def check_lap(section: TrackSection) -> None:
+    """Check that a lap has another gate than the one that it starts from.
+
+    Raises:
+        InputError: a closed track of one gate.
+    """
+    if section.closed and len(section.gates) == 1:
+        refuse("track.gates", "1 gate", "two gates or more, or a course (track.closed=false)")
 
 
 class Pose(struct.PyTreeNode):

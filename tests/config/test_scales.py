@@ -86,10 +86,14 @@ def test_a_printed_config_keeps_its_units(tmp_path):
 
 
 def test_a_lap_of_one_gate_has_no_units():
-    gate = "track.gates=[{position: [0, 0, -2]}]"
-    with pytest.raises(InputError, match="track.gates is '1 gate', allowed: two gates or more"):
-        load_config("e2e_race", [gate])
-    assert len(load_config("e2e", [gate]).track.gates) == 1
+    """Nor is it a lap; on a course, the leg of the only gate is the way from the start."""
+    gate = "track.gates=[{position: [6, 0, -2]}]"
+    for preset in ("e2e_race", "e2e"):
+        with pytest.raises(InputError, match="track.gates is '1 gate', allowed: two gates or more"):
+            load_config(preset, [gate])
+    course = [gate, "track.closed=false", "evaluate.laps=1", "start.position=0.1 legs"]
+    found = load_config("e2e", [*course, "track.start={position: [1, 0, -2]}"])
+    assert found.start.position == pytest.approx(0.5)
 
 
 def test_a_model_without_thrust_to_weight_has_no_units():

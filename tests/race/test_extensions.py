@@ -178,6 +178,11 @@ def test_a_crash_never_improves_the_score():
     """On a track of four times the length, a lap may take longer than 8 s."""
     track = track_of(4.0 * ref.GATES, ref.GATE_YAW)
     assert lap_length(track) == pytest.approx(56.0)
+    gate = "track.gates=[{position: [4, 3, -1.5]}]"
+    one = make_race(
+        "track.closed=false", "evaluate.laps=1", "track.start={position: [0, 0, -1.5]}", gate
+    )
+    assert lap_length(one[1].track) == 5.0  # a course of one gate, from its start
     limit = time_limit(track, 6)
     slow = np.full((4, 6), 10.0)
     crashed = slow.copy()
