@@ -46,6 +46,7 @@ SCHEMAS: dict[str, tuple[type[Section], Load]] = {  # kinds whose keys have desc
 }
 FOLDERS = {"config": "", "track": "tracks", "vehicle": "vehicles", "plant": "plant"}
 FOLDERS |= {"fit config": "fit"}  # in configs/, by kind
+OFF = 0.01  # cosine of the angle between a gate and a leg, beyond 90 deg, that is marked
 COMMENT = "Source of the constants: docs/guide/race.md, Drone. A fit to logs gives better ones."
 
 
@@ -194,8 +195,10 @@ def track_text(track: TrackSection) -> str:
     heading = np.degrees(np.arctan2(legs[:, 1], legs[:, 0]))
     turn = np.mod(np.roll(heading, -1) - heading + 180.0, 360.0) - 180.0
     slope = np.degrees(np.arctan2(-legs[:, 2], flat))
-    # No turn before or after a leg straight up or down.
+    # No turn before or after a leg straight up or down, nor at the end of a course.
     turns = (flat > 0.01) & (np.roll(flat, -1) > 0.01)
+    turns[-1] &= track.closed
+    against = _against_legs(track, legs)
     rows = []
     for index, gate in enumerate(track.gates):
         x, y, z = gate.position
@@ -203,12 +206,29 @@ def track_text(track: TrackSection) -> str:
         yaw, pitch, bend = ("-" if np.isnan(x) else str(round(x)) for x in angles)
         place = [number(value) for value in (x, y, -z)]
         leg = number(length[index])
+        yaw += "*" if index + 1 in against else ""
         rows.append([str(index + 1), *place, yaw, leg, pitch, bend, _opening(gate)])
     kind = "a lap" if track.closed else "a course"
-    head = f"{track.name}: {len(places)} gates, {kind} of {length.sum():.1f} m between centers"
+    count = f"{len(places)} gate{'s' if len(places) > 1 else ''}"
+    head = f"{track.name}: {count}, {kind} of {length.sum():.1f} m between centers"
     titles = ["gate", "north", "east", "height", "yaw", "leg", "slope", "turn", "opening"]
     notes = ["meters and degrees; leg: from the gate before; turn: to the one after"]
+    if against:
+        which = f"gate{'s' if len(against) > 1 else ''} {', '.join(map(str, against))}"
+        notes.append(f"* more than 90 deg off a leg to or from it: check yaw_deg of {which}")
     return f"{head}\n{Table(titles, rows, notes).format()}"
+
+
+def _against_legs(track: TrackSection, legs: np.ndarray) -> list[int]:
+    """Numbers, from 1, of gates that are passed against the leg (gates, 3) to them or from them."""
+    through = np.array([gate.axes for gate in track.gates])[:, :, 0]
+    after = np.roll(legs, -1, axis=0)
+    if not track.closed:
+        after[-1] = through[-1]
+    off = [
+        (leg * through).sum(axis=1) < -OFF * np.linalg.norm(leg, axis=1) for leg in (legs, after)
+    ]
+    return [int(index) + 1 for index in np.flatnonzero(off[0] | off[1])]
 
 
 def _opening(gate: GateSection) -> str:

@@ -11,7 +11,7 @@ import pytest
 from quadjax import make_race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.core.resources import PRETRAINED
+from quadjax.core.resources import PRETRAINED, preset_names
 from tests.commands import run
 from tests.promotion import QUICK
 
@@ -167,3 +167,33 @@ def test_flights_on_new_tracks_are_counted(tmp_path, capsys):
     assert row["runs"] == 4 and row["label"] == "256 to 259"
     assert row["finished"] + row["crashed"] == 4 and sum(row["crashes"].values()) == row["crashed"]
     assert f"{row['finished']} of 4" in capsys.readouterr().out
+
+
+GATE = "{position: [%d, %d, %d], yaw_deg: %d, pitch_deg: %d}"
+HEADINGS = [  # start of a course, gates (x, y, z, yaw, pitch), numbers of those that are marked
+    ("", [(9, 0, -2, 45, 0), (9, 9, -2, 135, 0), (0, 9, -2, -135, 0), (0, 0, -2, -45, 0)], ""),
+    ("", [(9, 0, -2, 45, 0), (9, 9, -2, 180, 0), (0, 9, -2, -135, 0), (0, 0, -2, -45, 0)], ""),
+    ("", [(9, 0, -2, 45, 0), (9, 9, -2, 185, 0), (0, 9, -2, -135, 0), (0, 0, -2, -45, 0)], "2"),
+    ("", [(9, 0, -2, 225, 0), (9, 9, -2, 135, 0), (0, 9, -2, -135, 0), (0, 0, -2, 50, 0)], "1, 4"),
+    ("", [(9, 0, -2, 0, 0), (9, 0, -6, 180, 0), (0, 0, -2, 0, 0)], "3"),  # one above the other
+    ("", [(9, 0, -6, 0, -90), (9, 0, -2, 180, 0), (0, 0, -6, 90, 0)], ""),  # a dive
+    ("", [(9, 0, -6, 0, 90), (9, 0, -2, 180, 0), (0, 0, -6, 90, 0)], "1"),
+    ("[0, 0, -2]", [(9, 0, -2, 45, 0), (9, 9, -2, 90, 0)], ""),  # no leg after the last gate
+    ("[0, 0, -2]", [(9, 0, -2, 135, 0), (9, 9, -2, 90, 0)], "1"),
+]
+
+
+@pytest.mark.parametrize(("start", "gates", "marked"), HEADINGS)
+def test_gates_against_their_legs_are_marked(start, gates, marked, tmp_path, capsys):
+    path = tmp_path / "track.yaml"
+    course = f"closed: false\nstart: {{position: {start}}}\n" if start else ""
+    path.write_text(f"{course}gates: [{', '.join(GATE % gate for gate in gates)}]\n")
+    assert run("show", path) == 0
+    text = capsys.readouterr().out
+    names = f"check yaw_deg of gate{'s' if ',' in marked else ''} {marked}"
+    assert (names in text) == bool(marked) and text.count("*") == len(marked.split()) + bool(marked)
+
+
+@pytest.mark.parametrize("name", preset_names("tracks"))
+def test_no_gate_of_a_shipped_track_is_marked(name, capsys):
+    assert run("show", name) == 0 and "*" not in capsys.readouterr().out
