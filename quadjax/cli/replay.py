@@ -93,11 +93,12 @@ def replay(
 
 def _drone_of(vehicle: Path, residual: str | None, race: str | None, track: str | None) -> "Config":
     """The race with the drone of a vehicle file, and the residual that a fit wrote next to it."""
-    from quadjax.config.loading import load_config
+    from quadjax.config.loading import load_config, with_track
 
     fitted = vehicle.with_name("residual.npz")
     if residual is None and vehicle.is_file() and fitted.is_file():
         residual = str(fitted)
-    changes = [f"vehicle={vehicle}", *([f"track={track}"] if track else [])]
+    changes = [f"vehicle={vehicle}"]
     changes += [f"vehicle.residual={residual}"] if residual not in (None, "none") else []
-    return load_config(race or "e2e +fastest", changes)
+    config = load_config(race or "e2e +fastest", changes)
+    return config if track is None else with_track(config, track)

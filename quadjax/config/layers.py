@@ -49,15 +49,19 @@ def config_layers(path: Path, parts: Sequence[str], overrides: Sequence[str]) ->
         stems = [part.rpartition("/")[2].removesuffix(".yaml") for part in parts]
         files.append((path, {"name": "_".join([names[-1], *stems])}))
     layers = [x for file, tree in files for x in _with_files(file, tree, [Path(file).parent])]
-    over = parse_overrides([_expand(override) for override in overrides])
-    written = [override.partition("=")[0] for override in overrides]
-    over_layers = _with_files(OVERRIDES, over, [Path(), path.parent], written)
     defaults: list[Layer] = []
     for section, name in DEFAULTS.items():  # but of a section whose values a file has itself
         keys = {key for _, tree in files for key in _section(tree, section)}
         if not keys & {"models", "gates", "generate"}:
             defaults += _with_files("defaults", {section: {"file": name}}, [CONFIGS])
-    return [*defaults, *layers, *over_layers]
+    return [*defaults, *layers, *override_layers(overrides, path.parent)]
+
+
+def override_layers(overrides: Sequence[str], folder: Path) -> list[Layer]:
+    """The layers of overrides, the lowest first; files are also found in ``folder``."""
+    over = parse_overrides([_expand(override) for override in overrides])
+    written = [override.partition("=")[0] for override in overrides]
+    return _with_files(OVERRIDES, over, [Path(), folder], written)
 
 
 def _find_part(name: str, config: Path, presets: Sequence[str]) -> Path:

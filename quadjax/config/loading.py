@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from quadjax.config.checks import check
-from quadjax.config.layers import config_layers, without_replaced
+from quadjax.config.layers import config_layers, override_layers, without_replaced
 from quadjax.config.scales import in_plain_units
 from quadjax.config.schema import Config, Rules, Vehicle
 from quadjax.core.errors import InputError, close_match, prefixed
@@ -69,6 +69,21 @@ def load_config(
 
 
 load = load_config  # its name in the public interface
+
+
+def with_track(config: Config, file: str) -> Config:
+    """A config on the track of a file, with the file's rules: the override ``track=FILE``.
+
+    A course is flown once, as it has one lap.
+
+    Raises:
+        InputError: a file that cannot be read, or a track that does not fit the config.
+    """
+    layers = [("config", config.to_tree()), *override_layers([f"track.file={file}"], Path())]
+    tree, sources = merge_layers(layers, "config", without_replaced)
+    if tree["track"].get("closed") is False:
+        tree["evaluate"] |= {"laps": 1, "gates": None}
+    return config_of(_with_opening(generated(tree, sources), sources), sources)
 
 
 def generated(tree: Tree, sources: Sources) -> Tree:

@@ -19,7 +19,7 @@ from typing import Annotated, Literal, Self
 
 from quadjax.config.assembly import vehicle_model
 from quadjax.config.checks import check_drone
-from quadjax.config.loading import load_config
+from quadjax.config.loading import load_config, with_track
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, prefixed
 from quadjax.core.sections import (
@@ -49,7 +49,6 @@ Moment = Annotated[float, Field(ge=-1.0, le=1.0)]
 Words = Annotated[tuple[str, ...], Field(max_length=100)]
 FOLDER, DELAYS = "conditions", "delays"
 LENGTHS = ("laps", "gates", "seconds")  # of a flight: one of them
-WHOLE = ("track", "vehicle")  # sections that an override names by a file
 
 
 class Damage(Section):
@@ -267,8 +266,11 @@ def changed(config: Config, words: Sequence[str]) -> Config:
         if not equals:
             raise InputError(f"{word} is not of the form key=value")
         value = parse_yaml(text, key)
-        if key in WHOLE and isinstance(value, str):
-            value = getattr(load_config("e2e", [word, "rules.position_limit=null"]), key)
+        if key == "track" and isinstance(value, str):
+            config = with_track(config, value)
+            continue
+        if key == "vehicle" and isinstance(value, str):
+            value = load_config("e2e", [word]).vehicle
         with prefixed(key):
             config = config.at(key, value)
     return config

@@ -2,13 +2,10 @@
 
 from pathlib import Path
 
-from quadjax.config.loading import load_config, stored_config
+from quadjax.config.loading import load_config, stored_config, with_track
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.resources import CONFIGS
 from quadjax.policy.file import Policy
-
-DEFAULT_CONFIG = CONFIGS / "e2e.yaml"  # with which the file of another track is read
 
 
 def race_of_policy(
@@ -25,7 +22,7 @@ def race_of_policy(
         policy: the policy.
         name: of its file, for messages.
         config: a config, a preset's name or a YAML file that the user names.
-        track: a track file that replaces the config's.
+        track: a track file that replaces the config's, with its rules.
 
     Raises:
         InputError: neither of them, a config in the policy file that names code, or a file that
@@ -40,7 +37,6 @@ def race_of_policy(
     else:
         raise InputError(f"{name}: has no config; name the config of its race (config=CONFIG)")
     if track is not None:
-        overrides = [f"track={track}", "rules.position_limit=null"]
-        race = race.replace(track=load_config(DEFAULT_CONFIG, overrides).track)
+        race = with_track(race, track)
         origin = f"{origin}, track {track}"
     return race, origin

@@ -9,6 +9,7 @@ from quadjax.config import assembly
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED, policy_names
+from quadjax.evaluation.conditions import Condition
 from quadjax.export import convert, race_source
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
@@ -84,3 +85,35 @@ def test_a_named_config_comes_first():
     flown, origin = race_of_policy(policy, track="figure8")
     assert origin == "the policy file's config, track figure8"
     assert flown.track.gates == load_config("e2e", ["track=figure8"]).track.gates
+
+
+OWN = """
+closed: false
+start: {position: [30, 2, 0], yaw_deg: 180}
+rules: {position_limit: 45, bounds: [[-1, 40], [-9, 9], [-7, 1]], gate_frame: 0.4, ground_speed: 6}
+gates: [{position: [20, 0, -2], yaw_deg: 180, size: [2, 2]}, {position: [4, 0, -2], yaw_deg: 170}]
+"""
+TRACKS = ("split_s", "grand_challenge", "own.yaml", "small.yaml")
+
+
+@pytest.mark.parametrize("track", TRACKS)
+@pytest.mark.parametrize("preset", ["e2e", "indi", "e2e_race"])
+def test_a_track_of_a_policy_brings_its_rules(track, preset, tmp_path, monkeypatch):
+    """As the override ``track``: limits, bounds and frames of the file, and a check of both."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.yaml").write_text(OWN)
+    (tmp_path / "small.yaml").write_text("gates: [{position: [9, 0, -2]}, {position: [4, 0, -2]}]")
+    policy = dataclasses.replace(Policy.load("e2e"), config=load_config(preset).to_tree())
+    laps = ["evaluate.laps=1"] if track == "own.yaml" else []
+    expected = load_config(preset, [f"track={track}", *laps])
+    assert race_of_policy(policy, track=track)[0] == expected
+    condition = Condition(label="there", overrides=(f"track={track}",))
+    assert condition.race(load_config(preset)) == expected
+
+
+def test_a_track_that_does_not_fit_the_race_of_a_policy_is_refused(tmp_path):
+    path = tmp_path / "far.yaml"
+    path.write_text("gates: [{position: [85, 0, -2]}, {position: [4, 0, -2]}]")
+    message = r"gates\[0\]\.position is .* below rules\.position_limit, 10 m; a track file may set"
+    with pytest.raises(InputError, match=message):
+        race_of_policy(Policy.load("e2e"), track=str(path))
