@@ -10,6 +10,8 @@ import importlib
 from pathlib import Path
 from typing import Any
 
+import quadjax.core.forks  # noqa: F401  from here on, forks are known
+
 __version__ = "0.1.0"
 
 

@@ -1,6 +1,10 @@
 """The race as Gymnasium sees it."""
 
 import functools
+import multiprocessing
+import os
+import subprocess
+import sys
 import warnings
 
 import jax
@@ -9,11 +13,13 @@ import pytest
 
 from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
+from quadjax.core.compilation_cache import enable_compilation_cache
+from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
 
 gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not installed")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
-from gymnasium.vector import AutoresetMode  # noqa: E402
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode  # noqa: E402
 
 from quadjax.integrations.gym import ID, RaceEnv, RaceVectorEnv  # noqa: E402
 from tests.race.support import BLANK  # noqa: E402
@@ -71,6 +77,55 @@ def test_spaces_shapes_and_seeds():
         assert value.dtype == np.dtype(dtype) and len(value) == N
     np.testing.assert_array_equal(observation, env.reset(seed=3)[0])
     assert not np.array_equal(observation, env.reset()[0])
+
+
+def test_unseeded_environments_start_apart():
+    """A vector, single races of a vector, and the same vector made again; seeds repeat."""
+    singles = gymnasium.vector.SyncVectorEnv([lambda: RaceEnv(*short())] * 3)
+    rows = [singles.reset()[0], *(RaceVectorEnv(*short(), 3).reset()[0] for _ in range(2))]
+    every = np.concatenate(rows)
+    assert len(np.unique(every, axis=0)) == len(every) == 9
+    seeded = [RaceVectorEnv(*short(), 3, seed=5).reset()[0] for _ in range(2)]
+    seeded.append(RaceVectorEnv(*short(), 3).reset(seed=5)[0])
+    np.testing.assert_array_equal(seeded[0], seeded[1])
+    np.testing.assert_array_equal(seeded[0], seeded[2])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"render_mode": "human"}, "render_mode is 'human', allowed: None"),
+        ({"render_mode": "rgb_array"}, "render_mode is 'rgb_array', allowed: None"),
+        ({"num_envs": 0}, "num_envs is 0, allowed: an integer, 1 to"),
+        ({"num_envs": 2.0}, "num_envs is 2.0, allowed: an integer, 1 to"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*render:UserWarning")
+def test_options_that_there_are_not(options, message):
+    makers = [gymnasium.make_vec] if "num_envs" in options else [gymnasium.make, gymnasium.make_vec]
+    for make in makers:
+        with pytest.raises(InputError, match=message):
+            make(ID, config=load_config(BLANK), **options)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
+@pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
+def test_a_process_forked_after_jax_started_says_what_to_use():
+    """Its first computation would wait forever; a fork before has no such limit."""
+    drones = AsyncVectorEnv([lambda: RaceEnv(*short())] * 2, context="fork")
+    try:
+        drones.reset_async(seed=0)
+        with pytest.raises(InputError, match=r"make_vec\(.quadjax/Race-v0.*context='spawn'"):
+            drones.reset_wait(timeout=60)
+    finally:
+        drones.close(terminate=True)
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        begun = pool.apply_async(enable_compilation_cache)  # by train, evaluate, export, fit, sil
+        with pytest.raises(InputError, match="forked after JAX had started"):
+            begun.get(timeout=60)
+    code = "import os, quadjax.core.forks as f; os.fork(); f.refuse_forked(); os.write(1, b'ok\\n')"
+    alone = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert alone.stdout.split() == ["ok", "ok"], alone.stderr
 
 
 def test_a_truncation_is_no_crash_and_shows_where_it_ended():

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import jax
 
+from quadjax.core.forks import refuse_forked
 from quadjax.core.provenance import cpu_info, processor
 
 MAX_BYTES = 2 * 2**30  # of the folder; the least recently used entries are removed
@@ -19,7 +20,11 @@ def enable_compilation_cache() -> None:
 
     ``JAX_COMPILATION_CACHE_DIR``, ``jax.config`` and ``JAX_ENABLE_COMPILATION_CACHE=0`` take
     precedence. Where the folder cannot be written, or others can write to it, nothing is cached.
+
+    Raises:
+        InputError: a process in which JAX cannot compile; see ``quadjax.core.forks``.
     """
+    refuse_forked()
     settings = jax.config.values
     if settings["jax_compilation_cache_dir"] or not settings["jax_enable_compilation_cache"]:
         return

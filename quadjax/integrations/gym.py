@@ -4,6 +4,7 @@ All environments of a vector are one compiled program.
 """
 
 import functools
+import secrets
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from quadjax.config.assembly import make_race
 from quadjax.config.schema import Config
 from quadjax.core.environment import Environment, vectorize, where_done
 from quadjax.core.errors import InputError
+from quadjax.core.forks import refuse_forked
+from quadjax.core.sections import MAX_RUNS, check_integer
 from quadjax.race.types import RaceParams, RaceState
 
 try:
@@ -30,6 +33,7 @@ except ImportError:
 Info = dict[str, Any]
 Step = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]
 ID = "quadjax/Race-v0"
+ONE_PROCESS = f"gymnasium.make_vec({ID!r}, num_envs=N), whose drones are one program"
 DEFAULT_CONFIG = "e2e"
 Named = Config | Path | str  # a config, a preset's name or a YAML file
 
@@ -67,14 +71,16 @@ def step_all(
     none = jnp.zeros_like(done)
     resets = {AutoresetMode.SAME_STEP: done, AutoresetMode.NEXT_STEP: late}.get(mode, none)
 
-    def fresh() -> RaceState:
+    def fresh() -> tuple[RaceState, jax.Array]:
         keys = jax.random.split(reset_key, action.shape[0])
-        return where_done(resets, environments.reset(params, keys), following)
+        state = where_done(resets, environments.reset(params, keys), following)
+        return state, environments.observe(params, state)
 
-    state = jax.lax.cond(resets.any(), fresh, lambda: following)
+    final = environments.observe(params, following)
+    state, observation = jax.lax.cond(resets.any(), fresh, lambda: (following, final))
     return Batch(state, done, key), {
-        "observation": environments.observe(params, state),
-        "final": environments.observe(params, following),
+        "observation": observation,
+        "final": final,
         "reward": reward,
         "terminated": terminated,
         "truncated": truncated,
@@ -108,13 +114,19 @@ class RaceVectorEnv(VectorEnv):
         params: RaceParams,
         num_envs: int = 1,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
-        seed: int = 0,
+        seed: int | None = None,
+        render_mode: None = None,
     ) -> None:
         """Prepare the race, which ``quadjax.make_race`` returns; nothing is compiled yet.
 
-        ``seed`` is of the first ``reset`` without one; ``autoreset_mode`` says when the next
-        episode begins: same step, next step, or disabled.
+        ``seed`` is of the first ``reset`` without one (None: a random seed); ``autoreset_mode``
+        says when the next episode begins: same step, next step, or disabled.
+
+        Raises:
+            InputError: a render mode, or a number of environments that is not at least 1.
         """
+        check_integer("num_envs", num_envs, 1, MAX_RUNS)
+        _refuse_render_mode(render_mode)
         self.num_envs, self._mode = num_envs, AutoresetMode(autoreset_mode)
         self._params = params
         self.metadata = {"autoreset_mode": self._mode, "render_modes": []}
@@ -124,14 +136,19 @@ class RaceVectorEnv(VectorEnv):
         self.single_action_space = _box(1.0, (environment.action_size,))
         self.observation_space = _box(np.inf, (num_envs, size))
         self.action_space = _box(1.0, (num_envs, environment.action_size))
-        self._key = jax.random.key(seed)
+        self._key = jax.random.key(secrets.randbits(31) if seed is None else seed)
         self._batch: Batch | None = None
         self._last = np.zeros((num_envs, size), np.float32)  # observations
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, Info]:
-        """Reset all environments, or those of ``options["reset_mask"]``, (num_envs,) bool."""
+        """Reset all environments, or those of ``options["reset_mask"]``, (num_envs,) bool.
+
+        Raises:
+            InputError: in a process that was forked after JAX had started.
+        """
+        refuse_forked(ONE_PROCESS)
         super().reset(seed=seed, options=options)
         if seed is not None:
             self._key = jax.random.key(seed)
@@ -153,7 +170,9 @@ class RaceVectorEnv(VectorEnv):
         Raises:
             RuntimeError: before the first ``reset``, or, with ``DISABLED``, where an episode has
                 ended and was not reset.
+            InputError: in a process that was forked after JAX had started.
         """
+        refuse_forked(ONE_PROCESS)
         if self._batch is None:
             raise RuntimeError("reset has to be called before step")
         if self._mode == AutoresetMode.DISABLED and bool(self._batch.over.any()):
@@ -186,11 +205,15 @@ class RaceEnv(gymnasium.Env):
     def __init__(
         self, environment: Environment, params: RaceParams, render_mode: None = None
     ) -> None:
-        """Prepare the race, which ``quadjax.make_race`` returns."""
+        """Prepare the race, which ``quadjax.make_race`` returns.
+
+        Raises:
+            InputError: a render mode.
+        """
         self._one = RaceVectorEnv(environment, params, 1, AutoresetMode.DISABLED)
         self.observation_space = self._one.single_observation_space
         self.action_space = self._one.single_action_space
-        self.render_mode = render_mode
+        _refuse_render_mode(render_mode)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -213,6 +236,11 @@ class RaceEnv(gymnasium.Env):
 
 def _box(bound: float, shape: tuple[int, ...]) -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-bound, bound, shape, np.float32)
+
+
+def _refuse_render_mode(mode: str | None) -> None:
+    if mode is not None:
+        raise InputError(f"render_mode is {mode!r}, allowed: None (quadjax view draws flights)")
 
 
 def _make(config: Named = DEFAULT_CONFIG, **options: Any) -> RaceEnv:

@@ -25,9 +25,9 @@ class RaceVecEnv(VecEnv):
     """``num_envs`` drones of a race."""
 
     def __init__(
-        self, environment: Environment, params: RaceParams, num_envs: int, seed: int = 0
+        self, environment: Environment, params: RaceParams, num_envs: int, seed: int | None = None
     ) -> None:
-        """Prepare the race, which ``quadjax.make_race`` returns.
+        """Prepare the race, which ``quadjax.make_race`` returns; a seed of None is a random one.
 
         Raises:
             InputError: Stable-Baselines3 is not installed.
