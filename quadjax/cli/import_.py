@@ -51,7 +51,8 @@ def import_(
         std: Standard deviation of the noise, where a policy's file has none.
         motors: Numbers in the network of the motors front-left, front-right, rear-right,
             rear-left.
-        actuator_range: Actuator states observed as -1 and 1, if not those of CONFIG.
+        actuator_range: Actuator states observed as -1 and 1, if not those of CONFIG:
+            observation.actuator_range.
         thrust_sign: 1: the thrust network is added to the force along body z; -1:
             subtracted (the paper).
     """
@@ -72,6 +73,7 @@ def import_(
     if len(networks) == 1:
         opt.refuse("on a policy", "thrust_sign")
     else:
+        opt.refuse("on a residual, import it alone", "motors")
         residual = residual_of(race.vehicle, networks[1:], sign)
         vehicle = race.vehicle.replace(residual=None, residual_gain=1.0)  # the files' instead
         race = race.replace(vehicle=vehicle)

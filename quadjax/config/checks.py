@@ -124,6 +124,11 @@ def _check_effects(config: Config) -> None:
         (model.can_be_disturbed, f"with vehicle.model={name}", of_disturbance),
         (config.vehicle.residual, "without vehicle.residual", ["vehicle.residual_gain"]),
         (
+            config.observation.actuators,
+            "without observation.actuators",
+            ["observation.actuator_range"],
+        ),
+        (
             config.rules.speed_limit,
             "without rules.speed_limit",
             ["reward.overspeed", "reward.overspeed_margin"],

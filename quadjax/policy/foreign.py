@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.config.assembly import race_of
+from quadjax.config.checks import check
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config, Vehicle
 from quadjax.core.errors import InputError
@@ -63,30 +64,27 @@ def policy_of(
         std: standard deviation of the noise, one or (actions,), where the file has none.
         motors: the network's numbers (1 to 4) of the motors front-left, front-right, rear-right,
             rear-left; None: in this order.
-        actuator_range: of the actuators that the network observes as -1 and 1, in the vehicle
-            model's unit; None: that of the config.
+        actuator_range: ``observation.actuator_range`` of the race; None: that of the config.
 
     Raises:
         InputError: a file that cannot be read, or a network that does not fit the race.
     """
     config = config if isinstance(config, Config) else load_config(config)
+    if actuator_range is not None:
+        config = config.at("observation.actuator_range", actuator_range)
+        check(config)
     choices, params = race_of(config)
     network, model = read_network(path), choices.model
     activation = _activation(path, network, activation)
     low, high = command_ranges(choices, params)
-    layers, log_std = network.layers, _log_std(path, network, len(low), std)
-    layout, name = choices.layout.with_spans(model, params), model.actuators.name
-    _check_sizes(path, layers, layout, model, config.name)
-    if actuator_range is not None:
-        layout = _with_span(layout, name, actuator_range)
+    layout = choices.layout.with_spans(model, params)
+    _check_sizes(path, network.layers, layout, model, config.name)
+    log_std = _log_std(path, network, len(low), std)
     if motors is not None:
-        if "last_action" in layout:
-            raise InputError(
-                f"{path}: motors {list(motors)}, allowed: none with observation.last_action"
-            )
-        layers, log_std = _reordered(path, layers, log_std, layout.slice(name), motors)
+        order = _order(path, model, motors)
+        network, log_std = _reordered(network, layout, order), log_std[order]
     return Policy(
-        layers=layers,
+        layers=network.layers,
         log_std=log_std,
         vehicle=model.name,
         activation=activation,
@@ -94,7 +92,7 @@ def policy_of(
         command_high=high,
         layout=layout,
         source={"imported": Path(path).name},
-        value=network.value if motors is None else None,
+        value=network.value,
         config=config.model_dump(mode="json", by_alias=True),
     )
 
@@ -110,31 +108,31 @@ def _activation(path: Path | str, network: Network, activation: str | None) -> s
     return activation
 
 
-def _with_span(layout: Layout, name: str, span: tuple[float, float]) -> Layout:
-    """The layout with another range of the actuators, the field ``name``."""
-    if not span[0] < span[1]:
-        allowed = "the lowest below the highest"
-        raise InputError(f"actuator_range is {list(span)}, allowed: {allowed}")
-    spanned = dataclasses.replace(layout[name], span=(span,) * layout[name].size)
-    return Layout(tuple(spanned if field.name == name else field for field in layout.fields))
-
-
-def _reordered(
-    path: Path | str, layers: Layers, log_std: np.ndarray, seen: slice, motors: Sequence[int]
-) -> tuple[Layers, np.ndarray]:
-    """A network with its motors, observed and commanded, in the order of this project."""
-    order = np.array(motors) - 1
-    size = seen.stop - seen.start
-    if sorted(order) != list(range(len(log_std))) or size != len(order):
+def _order(path: Path | str, model: VehicleModel, motors: Sequence[int]) -> np.ndarray:
+    """The network's indices of the motors in this project's order."""
+    count = model.action_size
+    if not model.by_rotor or sorted(motors) != list(range(1, count + 1)):
         raise InputError(
-            f"{path}: motors {list(motors)}, expected each of 1 to {len(log_std)} once, and a "
-            "vehicle model that observes as many propeller speeds"
+            f"{path}: motors {list(motors)}, expected each of 1 to {count} once, and a vehicle "
+            "model that commands each motor"
         )
-    (first, bias), *rest = layers
-    first = first.copy()
-    first[seen] = first[seen][order]
-    *rest, (last, offset) = [(first, bias), *rest]
-    return (*rest, (last[:, order], offset[order])), log_std[order]
+    return np.array(motors) - 1
+
+
+def _reordered(network: Network, layout: Layout, order: np.ndarray) -> Network:
+    """A network with each number of a motor, observed or commanded, in this project's order."""
+    rows = np.arange(layout.size)
+    for seen in (layout.slice(field.name) for field in layout.fields if field.by_rotor):
+        rows[seen] = rows[seen][order]
+
+    def reordered(layers: Layers) -> Layers:
+        (kernel, bias), *rest = layers
+        return ((kernel[rows], bias), *rest)
+
+    *rest, (kernel, bias) = reordered(network.layers)
+    layers = (*rest, (kernel[:, order], bias[order]))
+    value = None if network.value is None else reordered(network.value)
+    return dataclasses.replace(network, layers=layers, value=value)
 
 
 def _log_std(

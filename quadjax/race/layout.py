@@ -39,6 +39,8 @@ class ObservedField:
             None is minus the highest, and a range of zero width gives zero. None: not scaled.
         source: where the numbers of a disturbance come from: ground_truth, estimated or none.
         span: the numbers of ``scale``, one pair for each; None where unknown or not scaled.
+        by_rotor: whether the numbers are one for each rotor: front-left, front-right, rear-right,
+            rear-left. ``quadjax import --motors`` reorders them.
     """
 
     name: str
@@ -50,6 +52,7 @@ class ObservedField:
     scale: Callable[[VehicleModel, RaceParams], Bounds] | None = None
     source: str = ""
     span: tuple[tuple[float, float], ...] | None = None
+    by_rotor: bool = False
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -167,7 +167,7 @@ def fields_of(
         field("attitude", 3, "rad", "gate", 4.0, _attitude),
         field("rotation", 6, "", "gate", 2.0, _rotation),
         field("rates", 3, "rad/s", "body", 16.0, _rates),
-        field(*model.actuators, "body", 2.0, _actuators, span),
+        field(*model.actuators, "body", 2.0, _actuators, span, by_rotor=model.by_rotor),
         field("next_position", 3, "m", "gate", 8.0, _next_position),
         field("next_yaw", 1, "rad", "gate", 4.0, _next_yaw),
         field("next_yaw_unwrapped", 1, "rad", "gate", 8.0, _next_yaw_unwrapped),
@@ -177,7 +177,10 @@ def fields_of(
         table.append(field(f"next{count}_position", 3, "m", "gate", 16.0, place))
         table.append(field(f"next{count}_yaw", 1, "rad", "gate", 4.0, yaw))
     table += [
-        field(LAST_ACTION, model.action_size, "", "", 1.0, _last_action, _command_range),
+        field(
+            *(LAST_ACTION, model.action_size, "", "", 1.0, _last_action, _command_range),
+            by_rotor=model.by_rotor,
+        ),
         field("moment_ext", 3, "N m", "body", 2.0, bind(_moment, source), moment, source),
         field("force_ext", 1, "m/s^2", "body", 2.0, bind(_force_z, source), force, source),
         field(HIGHEST_RPM, 1, "rpm", "body", 2.0, limit, _limit_range),

@@ -265,6 +265,11 @@ class VehicleModel:
         return self.groups.get("lag", ())
 
     @property
+    def by_rotor(self) -> bool:
+        """Whether commands and actuators are one number for each rotor, in the same order."""
+        return len(self.commands) == 1 and self.action_size == self.actuators.size == 4
+
+    @property
     def action_size(self) -> int:
         """Number of scalars of a command."""
         return sum(signal.size for signal in self.commands)

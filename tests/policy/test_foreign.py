@@ -7,8 +7,11 @@ import jax
 import numpy as np
 import pytest
 
+from quadjax.config.assembly import race_of
+from quadjax.config.loading import load_config
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.policy.file import Policy
+from quadjax.policy.race import race_of_policy
 from quadjax.vehicle.residual import read_residual, residual_force_moment
 from tests.commands import run
 from tests.policy.writers import (
@@ -20,6 +23,7 @@ from tests.policy.writers import (
     write_authors_files,
 )
 
+OF_ROTORS = "tests.policy.writers:OF_ROTORS"
 STD = "{0.1f, 0.2f, 0.3f, 0.4f}"
 
 
@@ -28,22 +32,45 @@ def equal(found, wanted):
     np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-5 * np.abs(wanted).max())
 
 
-def test_motors_and_their_range_in_another_order(tmp_path):
+RACES = {  # with what they observe of each motor
+    "e2e_paper": (["rpm"], []),
+    "e2e_race": (
+        ["rotor_speed", "last_action", "squares"],
+        ["vehicle=5inch", "observation.last_action=true", f"observation.extra=[{OF_ROTORS}]"],
+    ),
+}
+
+
+@pytest.mark.parametrize("race", RACES)
+def test_motors_in_another_order_command_the_same_in_every_state(race, tmp_path):
     """INDIflight numbers rear-right, front-right, rear-left, front-left."""
-    arrays, path, out = linear((24, 6, 4)), tmp_path / "a.c", tmp_path / "a.npz"
+    fields, changes = RACES[race]
+    layout = race_of(load_config(race, changes))[0].layout
+    arrays, path, out = linear((layout.size, 6, 4)), tmp_path / "a.c", tmp_path / "a.npz"
     path.write_text(c_source(arrays, std=STD, flat=False))
-    options = ("--motors", 4, 2, 1, 3, "--actuator-range", 0, 12000, "--output", out)
-    assert run("import", "e2e_paper", path, *options) == 0
-    policy, plain = Policy.load(out), Policy.load(path, "e2e_paper")
-    assert policy.layout["rpm"].span == ((0.0, 12000.0),) * 4
+    options = ("--motors", 4, 2, 1, 3, "--activation", "relu", "--output", out)
+    assert run("import", race, path, *changes, *options) == 0
+    policy, plain = Policy.load(out), Policy.load(path, load_config(race, changes))
     np.testing.assert_allclose(np.exp(plain.log_std), [0.1, 0.2, 0.3, 0.4], rtol=1e-6)
-    seen = np.random.default_rng(0).normal(size=(3, 24)).astype(np.float32)
-    there, where = seen.copy(), policy.layout.slice("rpm").start
-    for front, other in enumerate((3, 1, 0, 2)):
-        there[:, where + other] = seen[:, where + front]
+    seen = np.random.default_rng(0).normal(size=(3, layout.size)).astype(np.float32)
+    there = seen.copy()
+    for start in (layout.slice(name).start for name in fields):
+        for front, other in enumerate((3, 1, 0, 2)):
+            there[:, start + other] = seen[:, start + front]
     wanted = np.clip(forward(arrays, there, activation=relu), -1, 1)[:, [3, 1, 0, 2]]
     np.testing.assert_allclose(policy(seen), wanted, atol=1e-5)
     np.testing.assert_allclose(policy.log_std, plain.log_std[[3, 1, 0, 2]])
+
+
+def test_the_range_of_the_actuators_is_that_of_the_config_that_is_stored(tmp_path):
+    path, out = tmp_path / "a.c", tmp_path / "a.npz"
+    path.write_text(c_source(linear((24, 4)), std=STD))
+    words = ("--activation", "relu", "--output", out, "--actuator-range")
+    assert run("import", "e2e_paper", path, *words, 0, 12000) == 0
+    policy = Policy.load(out)
+    assert policy.layout["rpm"].span == ((0.0, 12000.0),) * 4
+    assert policy.config["observation"]["actuator_range"] == [0.0, 12000.0]
+    assert race_of_policy(policy)[0].observation.actuator_range == (0.0, 12000.0)
 
 
 def residual_outputs(residual, rpm, velocity, rates):
@@ -127,6 +154,9 @@ std.c --motors 1 2 3 3 | expected each of 1 to 4 once
 one_bias.c | weights_fc2 has no biases_fc2
 zero.c | expected numbers above 0
 size.c | says 7
+std.c --actuator-range 2 1 | actuator_range is [2, 1], allowed: [lowest, highest]
+std.c observation.actuators=false --actuator-range 0 1 | null without observation.actuators
+std.c {RESIDUAL} --thrust-sign 1 --motors 4 2 1 3 | --motors has no effect on a residual
 {NETWORK} | no log_std or output_std
 std.c controller.c | has a standard deviation, so
 {NETWORK} controller.c --std 0.1 | --std has no effect

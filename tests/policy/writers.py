@@ -3,7 +3,18 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+import jax
 import numpy as np
+
+import quadjax
+
+
+def squares(step: quadjax.Step) -> list[jax.Array]:
+    """The squares of the actuators' states."""
+    return [1e-6 * x**2 for x in jax.tree.leaves(step.drone.actuators)]
+
+
+OF_ROTORS = quadjax.Field("squares", 4, "", "body", value=squares, by_rotor=True)
 
 
 def linear(sizes: tuple[int, ...], seed: int = 0) -> dict[str, np.ndarray]:
