@@ -8,7 +8,6 @@ import contextlib
 import dataclasses
 import importlib
 import json
-import math
 import re
 import warnings
 import zipfile
@@ -19,10 +18,10 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from quadjax.core.errors import InputError, reading
-from quadjax.core.files import check_file, read_layers, read_text
+from quadjax.core.files import check_file, read_layers
+from quadjax.policy.c_arrays import C_NAMES, STD, Arrays, pairs, read_arrays
 
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]  # (kernel (in, out), bias (out,)) of each
-Arrays = Mapping[str, np.ndarray]
 C, TORCH, SB3 = (".c", ".h", ".cpp", ".hpp"), (".pt", ".pth"), (".zip",)
 SUFFIXES = (*SB3, *TORCH, *C)
 LIBRARIES = {  # name, and the first version that executes nothing in a file
@@ -30,13 +29,7 @@ LIBRARIES = {  # name, and the first version that executes nothing in a file
     "stable_baselines3": ("Stable-Baselines3", (2, 8)),
 }
 SB3_POLICY, SB3_VALUE = "mlp_extractor.policy_net.", "mlp_extractor.value_net."
-STD = "output_std"
-COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
-ARRAY = re.compile(r"\b(?:float|double)\s+(\w+)\s*((?:\[[^\]]*\]\s*)+)[^={;]*=\s*\{([^;]*)\}\s*;")
-# The names of a layer's weights, and of its biases.
-C_NAMES = re.compile(r"(\w*?)weights_(\w+)"), r"\1biases_\2"
 TORCH_NAMES = re.compile(r"(.*)weight"), r"\1bias"
-READ = re.compile(rf"\w*?(?:weights|biases)_\w+|{STD}")
 FORWARD = re.compile(r"forward\s*\([^)]*\)\s*\{([^{}]*)\}")
 
 
@@ -64,9 +57,10 @@ def read_network(path: Path | str) -> Network:
     - ``.zip``: a model of Stable-Baselines3 (PPO or A2C, ``MlpPolicy``), by its own loader;
     - ``.pt``, ``.pth``: a state dict, by PyTorch, of Stable-Baselines3's policy or of linear layers
       in the order of their application, optionally with ``log_std``;
-    - ``.c``, ``.h``, ``.cpp``, ``.hpp``: arrays ``weights_NAME`` (row by row, a row per output) and
-      ``biases_NAME`` in the order of the layers, with any prefix, and optionally ``output_std``.
-      The activation is the one that the function ``..forward`` calls, or the only one in the file.
+    - ``.c``, ``.h``, ``.cpp``, ``.hpp``: arrays ``weights_NAME`` and ``biases_NAME`` in the order
+      of the layers, with any prefix, and optionally ``output_std``. Flat weights have a row per
+      output; those in two dimensions may also have one per input. The activation is the one that
+      the function ``..forward`` calls, or the only one in the file.
 
     Raises:
         InputError: another suffix, a library that is not installed, or a file that cannot be read;
@@ -114,9 +108,7 @@ def _layers(path: Path | str, arrays: Arrays, names: tuple[re.Pattern[str], str]
 
     Weights are by rows, a row for each output. ``names`` are those of weights and their biases.
     """
-    weights, biases = names
-    matches = [match for match in map(weights.fullmatch, arrays) if match]
-    used = {match[0]: match.expand(biases) for match in matches}
+    used = pairs(arrays, names)
     if others := set(arrays) - {*used, *used.values()}:
         raise InputError(
             f"{path}: {min(others)} does not belong to a linear layer, expected only linear layers"
@@ -214,7 +206,7 @@ def read_c(path: Path | str) -> Network:
     Raises:
         InputError: a file that cannot be read, or numbers that do not fit; in one line.
     """
-    arrays, text = _read_arrays(path)
+    arrays, text = read_arrays(path)
     std = arrays.pop(STD, None)
     if std is not None and not np.all((std > 0) & np.isfinite(std)):
         raise InputError(f"{path}: {STD} is {std.tolist()}, expected numbers above 0")
@@ -230,28 +222,3 @@ def read_c(path: Path | str) -> Network:
         log_std=None if std is None else np.log(std),
         activation=kinds[0] if len(kinds) == 1 else None,
     )
-
-
-def _read_arrays(path: Path | str) -> tuple[dict[str, np.ndarray], str]:
-    """The arrays of networks in a C file, by name, flat, and its text without comments.
-
-    ``const float weights_fc1[64*20] = {0.1f, ..};`` and arrays in several dimensions. The number of
-    entries must be that of the declaration, where it consists of plain numbers.
-    """
-    text = COMMENT.sub(" ", read_text(path))
-    arrays: dict[str, np.ndarray] = {}
-    for name, sizes, body in ARRAY.findall(text):
-        if not READ.fullmatch(name):
-            continue
-        words = re.sub(r"[,{}]", " ", body).split()
-        try:
-            arrays[name] = np.array([float(word.rstrip("fF")) for word in words], np.float64)
-        except ValueError as error:
-            raise InputError(f"{path}: {name}: {str(error):.80}, expected numbers") from None
-        factors = re.findall(r"[\[*]\s*([^\[\]*]*?)\s*(?=[\]*])", sizes)
-        declared = math.prod(map(int, factors)) if all(map(str.isdecimal, factors)) else None
-        if declared not in (None, count := len(words)):
-            raise InputError(f"{path}: {name} has {count} numbers, its declaration says {declared}")
-    if not arrays:
-        raise InputError(f"{path}: no array weights_.. or {STD}, expected such as weights_fc1[]")
-    return arrays, text

@@ -9,8 +9,10 @@ import pytest
 
 from quadjax.config.assembly import race_of
 from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.policy.file import Policy
+from quadjax.policy.network_files import read_network
 from quadjax.policy.race import race_of_policy
 from quadjax.vehicle.residual import read_residual, residual_force_moment
 from tests.commands import run
@@ -71,6 +73,46 @@ def test_the_range_of_the_actuators_is_that_of_the_config_that_is_stored(tmp_pat
     assert policy.layout["rpm"].span == ((0.0, 12000.0),) * 4
     assert policy.config["observation"]["actuator_range"] == [0.0, 12000.0]
     assert race_of_policy(policy)[0].observation.actuator_range == (0.0, 12000.0)
+
+
+SQUARE = "is square, and no other layer tells whether its rows are inputs or outputs"
+DECLARED = {  # sizes of the weights of layers 3 -> 2 -> 2, as they are stored; or what is refused
+    "[3][2] [2][2]": "ok",
+    "[2][3] [2][2]": "ok",
+    "[IN][2] [2][2]": "ok",
+    "[IN][OUT] [N][N]": "ok",
+    "[2*1][3] [4]": "ok",
+    "[6] [2][2]": f"weights_fc2 {SQUARE}, expected weights_fc2[4] with a row for each output",
+    "[1][2][3] [4]": "weights_fc1 has other dimensions than are read, expected rows of equal",
+}
+
+
+@pytest.mark.parametrize("nested", [True, False])
+@pytest.mark.parametrize("sizes", DECLARED)
+def test_arrays_with_a_row_for_each_input(sizes, nested, tmp_path):
+    """The declared sizes and the biases tell; square weights follow the others."""
+    first, second = np.arange(1.0, 7.0).reshape(3, 2), np.array([[7.0, 8.0], [9.0, 10.0]])
+    by_input = sizes.startswith(("[3]", "[IN]"))
+    text = ["relu(x)"]
+    for number, (kernel, size) in enumerate(zip((first, second), sizes.split(), strict=False), 1):
+        stored = kernel if by_input else kernel.T
+        rows = [", ".join(map(str, row)) for row in stored]
+        body = ", ".join(f"{{{row},}}" for row in rows) if nested else ", ".join(rows)
+        text.append(f"float weights_fc{number}{size} = {{{body}}};")
+        text.append(f"float biases_fc{number}[2] = {{0, 0}};")
+    path = tmp_path / "a.c"
+    path.write_text("\n".join(text))
+    says = DECLARED[sizes]
+    if not nested and "[IN][OUT]" in sizes:
+        says = "weights_fc1 has other dimensions"
+    if says != "ok":
+        with pytest.raises(InputError) as caught:
+            read_network(path)
+        assert says in str(caught.value)
+        return
+    found = [kernel for kernel, _ in read_network(path).layers]
+    for kernel, wanted in zip(found, (first, second), strict=False):
+        np.testing.assert_array_equal(kernel, wanted)
 
 
 def residual_outputs(residual, rpm, velocity, rates):
