@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from quadjax.core.contents import NPZ, TEXT, check_kind
 from quadjax.core.errors import InputError, reading, writing
 
 TEMPORARY = ".writing-"  # prefix of temporary files
@@ -122,9 +123,11 @@ def read_text(path: Path | str, limit: int = MAX_BYTES) -> str:
         limit: largest allowed size, bytes.
 
     Raises:
-        InputError: not a regular file, unreadable, larger, or not UTF-8.
+        InputError: not a regular file, unreadable, empty or something else than text, larger, or
+            not UTF-8.
     """
     check_file(path)
+    check_kind(path, "text", TEXT)
     with reading(path):
         with open(path, "rb") as stream:
             data = stream.read(limit + 1)
@@ -154,10 +157,7 @@ def read_npz(
         InputError: no such file, not an npz, damaged, pickled, too large, or of another format.
     """
     check_file(path)
-    with reading(path), open(path, "rb") as stream:
-        whole = zipfile.is_zipfile(stream)
-    if not whole:
-        raise InputError(f"{path}: not an .npz file, or one that is cut short")
+    check_kind(path, "an archive of NumPy arrays (.npz)", NPZ)
     try:
         with zipfile.ZipFile(path) as archive:
             entries = [name.removesuffix(".npy") for name in archive.namelist()]

@@ -11,11 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
+from quadjax.core.contents import TEXT, check_kind
 from quadjax.core.errors import InputError, reading, short
 from quadjax.core.files import check_file
 
 MAX_BYTES = 2**30  # of one log: hours of flight
 MAX_SETTINGS = 2000  # rows of settings before the header
+ANOTHER = "begins another log, expected one log in a file: split it there"
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ def read_head(path: Path | str, settings: bool = False) -> tuple[list[str], dict
     size = Path(path).stat().st_size
     if size > MAX_BYTES:
         raise InputError(f"{path}: {size:,} bytes, allowed: up to {MAX_BYTES:,} for a flight")
+    check_kind(path, "a table as CSV text", TEXT)
     head: list[list[str]] = []
     with reading(path), open(path, encoding="utf-8-sig") as stream:
         for line in stream:
@@ -70,6 +73,7 @@ def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> 
         InputError: no such file or column, an empty row, or a cell that is no number.
     """
     header, header_settings, start = read_head(path, settings)
+    first, _, _ = read_head(path)
     for name in names:
         if header.count(name) != 1:
             problem = "is missing" if name not in header else "is there twice"
@@ -112,7 +116,9 @@ def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> 
         except (InputError, UnicodeDecodeError):
             raise
         except ValueError as error:
-            raise InputError(f"{path}: row {row}{_fault(path, line, places, error)}") from None
+            again = _cells(path, line) in (header, first)
+            problem = f" {ANOTHER}" if again else _fault(path, line, places, error)
+            raise InputError(f"{path}: row {row}{problem}") from None
     columns = table.reshape(-1, len(names)).T
     by_name = dict(zip(names, columns, strict=True))
     return LogTable(str(path), by_name, header_settings, start + 1, cut_row)

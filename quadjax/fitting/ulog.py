@@ -16,6 +16,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
+from quadjax.core.contents import ULOG, ULOG_MAGIC, check_kind
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file
 from quadjax.fitting.log_table import continuous, interpolated, time_fault
@@ -56,6 +57,7 @@ def read_ulog(path: Path) -> dict[str, np.ndarray]:
             has a gap.
     """
     check_file(path)
+    check_kind(path, ULOG, ULOG)
     topics = _topics(path)
     if CLOCK not in topics:
         raise InputError(f"{path}: no topic {CLOCK} (SDLOG_PROFILE=17 logs it)")
@@ -125,6 +127,8 @@ def _topics(path: Path) -> dict[str, dict[str, np.ndarray]]:
     except Exception as error:  # pyulog raises errors of many kinds for a damaged file
         reason = f"{error}".splitlines()[:1] or [type(error).__name__]
         raise InputError(f"{path}: not readable as a ULog file ({reason[0]:.200})") from None
+    if path.read_bytes().count(ULOG_MAGIC) > 1:
+        raise InputError(f"{path}: two ULog files in one, expected one log in a file")
     if log.file_corruption:
         raise InputError(f"{path}: a ULog file with damaged messages, expected a whole one")
     return {data.name: data.data for data in log.data_list if data.multi_id == 0}

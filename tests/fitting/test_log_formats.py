@@ -179,6 +179,21 @@ def test_settings_and_matrices_that_cannot_be_used_are_one_line(short, tmp_path)
     refused(path, "tii", "row 702, column 'drone_rot[0]' and on: ", "of -1, expected 1")
 
 
+@pytest.mark.parametrize("names_only", [False, True])
+@pytest.mark.parametrize("form", ["blackbox", "tii", "ulog"])
+def test_two_logs_in_one_file_are_refused(form, names_only, short, tmp_path):
+    path = _write(form, short, tmp_path, variant=False)
+    log = path.read_bytes()
+    head, lines = b"", log.splitlines(keepends=True)
+    if form == "blackbox" and names_only:
+        head = log[: log.index(next(line for line in lines if b"gyroADC" in line))]
+    path.write_bytes(log + log.removeprefix(head))
+    says = "two ULog files in one"
+    if form != "ulog":
+        says = f"row {len(lines) + 1} begins another log, expected one log in a file: split it"
+    refused(path, form, says)
+
+
 def test_topics_of_a_ulog_file_are_checked(short, tmp_path):
     pytest.importorskip("pyulog", reason="ULog files need pyulog, the extra px4")
     path, topics = tmp_path / "flight.ulg", racing_logs.ulog_topics(short)
@@ -199,7 +214,7 @@ def test_topics_of_a_ulog_file_are_checked(short, tmp_path):
         racing_logs.write_ulog(path, short, present)
         refused(path, "ulog", *words)
     path.write_bytes(path.read_bytes()[:-1000][16:])
-    refused(path, "ulog", "not readable as a ULog file")
+    refused(path, "ulog", "is binary data, expected a ULog file of PX4")
 
 
 @pytest.fixture(scope="module")
