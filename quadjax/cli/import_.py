@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.files import is_override
-from quadjax.cli.output import wrote
+from quadjax.cli.output import note, wrote
 from quadjax.core.interruptions import loading
 
 Motor = Annotated[int, opt.whole(1, 4)]
@@ -31,7 +31,7 @@ def import_(
     """Convert networks of other projects to a policy file or a residual file.
 
     One network is a policy: a model of Stable-Baselines3 (.zip; PPO or A2C with
-    MlpPolicy), a PyTorch state dict (.pt, .pth) or C source (.c, .h: weights_fc1,
+    MlpPolicy), a PyTorch state dict (.pt, .pth, .ckpt) or C source (.c, .h: weights_fc1,
     biases_fc1, ..). CONFIG is the race that it was trained in, which defines its
     observation and its commands. Two networks (.pt, .c) are thrust and moment of a
     residual; CONFIG has the range of the propeller speeds. Three are policy, thrust
@@ -59,6 +59,7 @@ def import_(
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.policy.foreign import policy_of, residual_of, sort_files
+        from quadjax.policy.network_files import ASSUMED
         from quadjax.vehicle.residual import write_residual
 
     race = load_config(config, [text for text in files if is_override(text)])
@@ -79,5 +80,6 @@ def import_(
         race = race.replace(vehicle=vehicle)
     policy = policy_of(networks[0], race, activation, deviations, motors, actuator_range)
     print(f"policy of {race.name}: {policy.describe()}")
+    note(ASSUMED)
     dataclasses.replace(policy, residual=residual).save(output)
     wrote(output)

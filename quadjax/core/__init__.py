@@ -1,15 +1,8 @@
 """Code that all packages use.
 
 Numerics: ``vectors``, ``quaternion``, ``frames``, ``trigonometry``, ``gradients``, ``filters``,
-<<<<<<< HEAD
 ``integrators``, ``mlp``, ``materialize``, ``shapes``. ``environment`` is the interface of tasks and
 learners. Configs: ``sections``, their fields as arrays in ``traced``, ``yaml_files``,
 ``resources``. Files and errors: ``files``, ``folders``, ``errors``, ``imports``, ``interruptions``,
-``provenance``.
-=======
-``integrators``, ``mlp``, ``materialize``. ``environment`` is the interface of tasks and learners.
-Configs: ``sections``, their fields as arrays in ``traced``, ``yaml_files``, ``resources``. Files
-and errors: ``files``, ``folders``, ``errors``, ``imports``, ``interruptions``, ``provenance``;
-``forks`` of processes.
->>>>>>> 14964403 (Gymnasium: random starts without a seed, no hang in forked workers, options that there are not)
+``provenance``; ``forks`` of processes.
 """

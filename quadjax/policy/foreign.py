@@ -75,10 +75,10 @@ def policy_of(
         check(config)
     choices, params = race_of(config)
     network, model = read_network(path), choices.model
-    activation = _activation(path, network, activation)
-    low, high = command_ranges(choices, params)
     layout = choices.layout.with_spans(model, params)
     _check_sizes(path, network.layers, layout, model, config.name)
+    activation = _activation(path, network, activation)
+    low, high = command_ranges(choices, params)
     log_std = _log_std(path, network, len(low), std)
     if motors is not None:
         order = _order(path, model, motors)
@@ -159,9 +159,11 @@ def _check_sizes(
     inputs, outputs = layers[0][0].shape[0], layers[-1][0].shape[1]
     if inputs != layout.size:
         fields = ", ".join(f"{field.name} {field.size}" for field in layout.fields)
+        stack, rest = divmod(inputs, layout.size)
+        stacked = "" if rest else f"; {stack} stacked observations are not supported"
         raise InputError(
             f"{path}: the network takes {inputs} numbers, policies of {race} observe {layout.size}:"
-            f" {fields}"
+            f" {fields}{stacked}"
         )
     if outputs != model.action_size:
         raise InputError(

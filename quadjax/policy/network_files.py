@@ -11,26 +11,42 @@ import json
 import re
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
+from quadjax.core import contents
+from quadjax.core.contents import check_kind
 from quadjax.core.errors import InputError, reading
 from quadjax.core.files import check_file, read_layers
 from quadjax.policy.c_arrays import C_NAMES, STD, Arrays, pairs, read_arrays
 
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]  # (kernel (in, out), bias (out,)) of each
-C, TORCH, SB3 = (".c", ".h", ".cpp", ".hpp"), (".pt", ".pth"), (".zip",)
+C, TORCH, SB3 = (".c", ".h", ".cpp", ".hpp"), (".pt", ".pth", ".ckpt"), (".zip",)
 SUFFIXES = (*SB3, *TORCH, *C)
+ASSUMED = (  # of every network, as no file says it
+    "assumed: the network observes what the race gives, without statistics of its own (VecNormalize"
+    ", a running mean), and its outputs are clipped to [-1, 1], the range of the commands"
+)
+STATISTICS = re.compile(
+    r"(?i)(?!.*(rew|\bret))(.*(norm|rms|running|scaler)|.*(obs|input).*(mean|std|var))"
+)
+FOLD = (
+    "statistics of the inputs, which a policy file cannot have: fold them into the first layer "
+    "(weight / std, bias - weight @ (mean / std))"
+)
 LIBRARIES = {  # name, and the first version that executes nothing in a file
     "torch": ("PyTorch", (2, 6)),
     "stable_baselines3": ("Stable-Baselines3", (2, 8)),
 }
+SB3_PARTS = "policy_kwargs", "action_space"  # of its data
 SB3_POLICY, SB3_VALUE = "mlp_extractor.policy_net.", "mlp_extractor.value_net."
 TORCH_NAMES = re.compile(r"(.*)weight"), r"\1bias"
 FORWARD = re.compile(r"forward\s*\([^)]*\)\s*\{([^{}]*)\}")
+CALLED = re.compile(r"(?i)\b(\w*(?:elu|tanh|sigmoid)\w*)\s*\(")
+KNOWN = re.compile(r"(?i)(?!.*(?:leaky|hard))(?:.*[^a-z])?(relu|tanh)f?")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,8 +71,8 @@ def read_network(path: Path | str) -> Network:
     """The network of a file, by its suffix.
 
     - ``.zip``: a model of Stable-Baselines3 (PPO or A2C, ``MlpPolicy``), by its own loader;
-    - ``.pt``, ``.pth``: a state dict, by PyTorch, of Stable-Baselines3's policy or of linear layers
-      in the order of their application, optionally with ``log_std``;
+    - ``.pt``, ``.pth``, ``.ckpt``: a state dict, by PyTorch, of Stable-Baselines3's policy or of
+      linear layers in the order of their application, optionally with ``log_std``;
     - ``.c``, ``.h``, ``.cpp``, ``.hpp``: arrays ``weights_NAME`` and ``biases_NAME`` in the order
       of the layers, with any prefix, and optionally ``output_std``. Flat weights have a row per
       output; those in two dimensions may also have one per input. The activation is the one that
@@ -76,11 +92,14 @@ def read_network(path: Path | str) -> Network:
             raise InputError(f"{path}: has no weights_.., expected weights_fc1, biases_fc1, ..")
         return network
     if suffix in TORCH:
+        check_kind(path, "a state dict of PyTorch", contents.TORCH, contents.PICKLE)
         return _of_tensors(path, _read_state_dict(path))
+    check_kind(path, "a model of Stable-Baselines3", contents.SB3)
     tensors = _read_sb3(path)
     if not any(name.startswith(SB3_POLICY) for name in tensors):
         raise InputError(f"{path}: no {SB3_POLICY}*, expected a model of PPO or A2C with MlpPolicy")
-    return dataclasses.replace(_of_tensors(path, tensors), activation=_sb3_activation(path))
+    network, activation = _of_tensors(path, tensors), _sb3_activation(path, _sb3_data(path))
+    return dataclasses.replace(network, activation=activation)
 
 
 def _of_tensors(path: Path | str, tensors: Arrays) -> Network:
@@ -109,14 +128,16 @@ def _layers(path: Path | str, arrays: Arrays, names: tuple[re.Pattern[str], str]
     Weights are by rows, a row for each output. ``names`` are those of weights and their biases.
     """
     used = pairs(arrays, names)
-    if others := set(arrays) - {*used, *used.values()}:
+    if others := sorted(set(arrays) - {*used, *used.values()}):
+        _refuse_statistics(path, others)
         raise InputError(
-            f"{path}: {min(others)} does not belong to a linear layer, expected only linear layers"
+            f"{path}: {others[0]} does not belong to a linear layer, expected only linear layers"
         )
     numbered: dict[str, np.ndarray] = {}
     for index, (name, bias) in enumerate(used.items()):
         rows, shape = arrays[bias].size if bias in arrays else 0, arrays[name].shape
-        if not rows or arrays[name].size % rows or shape[:-1] not in ((), (rows,)):  # flat in C
+        flat = len(shape) == 1 and names is C_NAMES
+        if not rows or arrays[name].size % rows or not (flat or shape[:-1] == (rows,)):
             raise InputError(f"{path}: {name} has no {bias} with a number for each of its rows")
         numbered[f"kernel_{index}"] = arrays[name].reshape(rows, -1).T
         numbered[f"bias_{index}"] = arrays[bias]
@@ -124,19 +145,45 @@ def _layers(path: Path | str, arrays: Arrays, names: tuple[re.Pattern[str], str]
     return tuple((kernel.astype(np.float32), bias.astype(np.float32)) for kernel, bias in layers)
 
 
-def _sb3_activation(path: Path | str) -> str | None:
-    """The activation of a Stable-Baselines3 model, whose ``data`` is JSON; tanh by default.
+def _refuse_statistics(path: Path | str, names: Iterable[str]) -> None:
+    """Reject a file with statistics that normalize the observation, by the names of its parts."""
+    for name in filter(STATISTICS.match, names):
+        raise InputError(f"{path}: has {name}, {FOLD}")
+
+
+def _sb3_data(path: Path | str) -> dict[str, Any]:
+    """What a Stable-Baselines3 model says of itself, as far as it is JSON.
 
     Objects in it are pickled. Only the text representations next to them are read.
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            data = json.loads(archive.read("data"))
-        name = str((data.get("policy_kwargs") or {}).get("activation_fn", "Tanh"))
+            return dict(json.loads(archive.read("data")))
     except Exception:  # damaged in one of many ways: the caller names the activation
+        return {}
+
+
+def _sb3_activation(path: Path | str, data: Mapping[str, Any]) -> str | None:
+    """The activation of a Stable-Baselines3 model, by default tanh.
+
+    Raises:
+        InputError: a policy that does more than its layers and a clip to [-1, 1].
+    """
+    kwargs, space = (x if isinstance(x, dict) else {} for x in map(data.get, SB3_PARTS))
+    extractor = str(kwargs.get("features_extractor_class", "FlattenExtractor"))
+    for ends, limit in (("low", -1.0), ("high", 1.0)):
+        numbers = re.findall(r"[-+.\w]+", str(space.get(ends, "")))
+        if any(number not in (f"{limit:g}", f"{limit:g}.", f"{limit:.1f}") for number in numbers):
+            expected = f"{limit:g} of every action (gymnasium.wrappers.RescaleAction)"
+            raise InputError(f"{path}: action_space.{ends} is {space[ends]}, expected {expected}")
+    if "FlattenExtractor" not in extractor:
+        raise InputError(f"{path}: features_extractor_class is {extractor}, expected none")
+    if kwargs.get("squash_output"):
+        raise InputError(f"{path}: squash_output is true, expected actions that are clipped")
+    if not data:
         return None
-    word = re.search(r"(\w+)\W*$", name)  # <class 'torch.nn.modules.activation.ReLU'>
-    return word[1].lower() if word else None
+    word = re.search(r"(\w+)\W*$", str(kwargs.get("activation_fn", "Tanh")))
+    return word[1].lower() if word else None  # <class 'torch.nn.modules.activation.ReLU'>
 
 
 def _read_sb3(path: Path | str) -> Arrays:
@@ -153,9 +200,14 @@ def _read_state_dict(path: Path | str) -> Arrays:
     torch = _library(path, "torch", "torch")
     with _loading(path, "a state dict of PyTorch") as stream:
         tensors = torch.load(stream, map_location="cpu", weights_only=True)
+        others: list[str] = []
         for key in ("state_dict", "model_state_dict"):  # of a checkpoint
-            tensors = tensors.get(key, tensors)
-        return _to_arrays(tensors)
+            if key in tensors:
+                others += [str(x) for x in tensors if not isinstance(tensors[x], int | float)]
+                tensors = tensors[key]
+        arrays = _to_arrays(tensors)
+    _refuse_statistics(path, others)
+    return arrays
 
 
 def _library(path: Path | str, module: str, extra: str) -> Any:
@@ -214,11 +266,18 @@ def read_c(path: Path | str) -> Network:
     if len({match[1] for match in names}) > 1:
         listed = ", ".join(match[0] for match in names)
         raise InputError(f"{path}: has {listed:.80}, expected weights_fc1, biases_fc1, ..")
+    layers = _layers(path, arrays, C_NAMES) if arrays else ()
+    activation = _c_activation(path, text, len(layers)) if layers else None
+    return Network(layers, None if std is None else np.log(std), activation)
+
+
+def _c_activation(path: Path | str, text: str, layers: int) -> str | None:
+    """The activation that ``..forward`` calls, or the only one in the text of a C file."""
     forward = FORWARD.search(text)
-    code = forward[1] if forward else text
-    kinds = [kind for kind in ("relu", "tanh") if re.search(kind, code, re.IGNORECASE)]
-    return Network(
-        layers=_layers(path, arrays, C_NAMES) if arrays else (),
-        log_std=None if std is None else np.log(std),
-        activation=kinds[0] if len(kinds) == 1 else None,
-    )
+    called = CALLED.findall(forward[1] if forward else text)
+    known = [(name, KNOWN.fullmatch(name)) for name in called]
+    kinds = sorted({match[1].lower() if match else name for name, match in known})
+    if forward and called and (len(kinds) > 1 or len(called) >= layers):
+        allowed = f"one activation of the {layers - 1} hidden layers and none of the output"
+        raise InputError(f"{path}: ..forward calls {', '.join(called):.80}, expected {allowed}")
+    return kinds[0] if len(kinds) == 1 else None

@@ -2,6 +2,7 @@
 
 import sys
 import types
+import zipfile
 
 import jax
 import numpy as np
@@ -167,7 +168,9 @@ def test_a_library_that_is_missing_or_old_is_one_line(suffix, found, tmp_path, m
     old = types.SimpleNamespace(__version__=version)
     monkeypatch.setitem(sys.modules, module, old if found else None)
     path = tmp_path / f"network{suffix}"
-    path.write_bytes(b"")
+    with zipfile.ZipFile(path, "w") as archive:
+        for name in {".pt": ("net/data.pkl",), ".zip": ("policy.pth", "data")}[suffix]:
+            archive.writestr(name, b"")
     assert run("import", "e2e_paper", path, "--output", tmp_path / "a.npz") == 2
     error = capsys.readouterr().err
     says = f"this needs {needed} or newer: pip install 'quadjax[{extra}]'"
@@ -223,3 +226,36 @@ def test_networks_that_do_not_fit_are_refused_in_one_line(row, tmp_path, monkeyp
     error = capsys.readouterr().err
     assert says in error and error.count("\n") == 1
     assert not (tmp_path / "a.npz").exists()
+
+
+CALLS = {  # the body of ..forward of two layers, and the activation; or what is refused
+    "nn_relu(h);": "relu",
+    "act_tanhf(h);": "tanh",
+    "leaky_relu(h);": "leaky_relu",
+    "nn_relu(h); nn_tanh(o);": "forward calls nn_relu, nn_tanh, expected one activation of the 1",
+    "nn_tanh(h); nn_tanh(o);": "and none of the output",
+}
+
+
+@pytest.mark.parametrize("body", CALLS)
+def test_a_network_whose_output_is_squashed_is_refused(body, tmp_path):
+    path, wanted = tmp_path / "a.c", CALLS[body]
+    forward = f"void nn_forward(float* x, float* o) {{ {body} }}"
+    path.write_text(c_source(NET, body="") + "\nvoid nn_relu(float* x) {}\n" + forward)
+    if " " in wanted:
+        with pytest.raises(InputError, match=wanted):
+            read_network(path)
+    else:
+        assert read_network(path).activation == wanted
+
+
+def test_what_no_file_says_is_said_and_stacked_observations_are_named(tmp_path, capsys):
+    path, out = tmp_path / "a.c", tmp_path / "a.npz"
+    path.write_text(c_source(NET, std=STD))
+    assert run("import", "e2e_paper", path, "--output", out) == 0
+    assert "without statistics of its own (VecNormalize" in capsys.readouterr().err
+    path.write_text(c_source(linear((72, 6, 3)), std=STD))
+    assert run("import", "e2e_paper", path, "--output", out) == 2
+    error = capsys.readouterr().err
+    assert "takes 72 numbers, policies of e2e_paper observe 24: " in error
+    assert error.endswith("; 3 stacked observations are not supported\n")

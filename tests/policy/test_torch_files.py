@@ -97,10 +97,21 @@ REFUSED = {
     "no tensors": (saved({"0.weight": [1.0, 2.0]}), SAYS),
     "a tensor": (saved(torch.zeros(3)), SAYS),
     "too large to copy": (saved({"0.weight": torch.zeros(1).expand(2**45)}), SAYS),
-    "cut short": (saved(NET)[:-100], SAYS),
-    "empty": (b"", SAYS),
+    "cut short": (saved(NET)[:-100], "is a zip archive that is cut short, expected a state dict"),
     "no bias": (saved({k: v for k, v in NET.items() if k != "2.bias"}), "2.weight has no 2.bias"),
     "another layer": (saved(NET | {"embedding": torch.zeros(3)}), "embedding does not belong"),
+    "a norm of a layer": (
+        saved(NET | {"1.weight": torch.ones(6), "1.bias": torch.zeros(6)}),
+        "1.weight has no 1.bias with a number for each of its rows",
+    ),
+    "statistics": (
+        saved(NET | {"obs_rms.mean": torch.zeros(24)}),
+        "has obs_rms.mean, statistics of the inputs, which a policy file cannot have: fold them",
+    ),
+    "statistics next to the layers": (
+        saved({"model_state_dict": NET, "running_mean_std": {"count": torch.ones(1)}}),
+        "has running_mean_std, statistics of the inputs",
+    ),
     "a shared extractor": (saved(SHARED), "has mlp_extractor.shared_net.0.weight, expected"),
     "no noise": (saved(NET), "no log_std or output_std, give the noise's std"),
 }
@@ -130,7 +141,7 @@ def test_damaged_state_dicts_are_read_or_refused_in_one_line(data, tmp_path):
 
 @pytest.fixture(scope="module")
 def model_of():
-    """What makes a model of Stable-Baselines3 with untrained networks."""
+    """What makes a model of Stable-Baselines3 with untrained networks and some action range."""
     sb3 = pytest.importorskip("stable_baselines3", reason="the extra sb3 is not installed")
     spaces = pytest.importorskip("gymnasium").spaces
 
@@ -138,12 +149,18 @@ def model_of():
         observation_space = spaces.Box(-1.0, 1.0, (24,))
         action_space = spaces.Box(-1.0, 1.0, (4,))
 
-    def make(algorithm="PPO", activation=None, **options):
+    class Extractor(sb3.common.torch_layers.FlattenExtractor):
+        pass
+
+    def make(algorithm="PPO", activation=None, low=-1.0, own_extractor=False, **options):
         if algorithm == "PPO":
             kwargs = {"net_arch": {"pi": [7, 8], "vf": [5, 6]}, "log_std_init": -1.5}
             kwargs |= {} if activation is None else {"activation_fn": activation}
+            kwargs |= {"features_extractor_class": Extractor} if own_extractor else {}
             options |= {"policy_kwargs": kwargs}
-        return getattr(sb3, algorithm)("MlpPolicy", Env(), seed=0, device="cpu", **options)
+        env = Env()
+        env.action_space = spaces.Box(low, 1.0, (4,))
+        return getattr(sb3, algorithm)("MlpPolicy", env, seed=0, device="cpu", **options)
 
     return make
 
@@ -214,7 +231,14 @@ def test_other_models_are_refused_in_one_line(model_of, tmp_path, capsys):
         ({"algorithm": "SAC", "buffer_size": 10}, (), "expected a model of PPO or A2C"),
         ({"activation": torch.nn.ELU}, (), "the activation is elu, allowed: relu, tanh"),
         ({"use_sde": True}, (), "expected a number per action (no gSDE)"),
+        ({"low": 0.0}, (), "action_space.low is [0. 0. 0. 0.], expected -1 of every action"),
+        ({"own_extractor": True}, (), "Extractor'>, expected none"),
         ({}, ("--activation", "relu"), "its activation is tanh, not relu"),
+        (
+            {},
+            ("observation.actuators=false",),
+            "takes 24 numbers, policies of e2e_paper observe 20",
+        ),
         ({}, ("--std", 0.1), "has a standard deviation, so std 0.1 has no effect"),
     ):
         model_of(**options).save(path)
