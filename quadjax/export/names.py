@@ -1,5 +1,6 @@
 """The names in an exported folder, and checks of names and folders that need no JAX."""
 
+import functools
 import math
 import re
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file
 from quadjax.core.folders import check_kind, kind_of
+from quadjax.export.targets import RUNTIME
 
 KIND = "export"
 POLICY_FILE, CONFIG_FILE, RESIDUAL_FILE = "policy.npz", "config.yaml", "residual.npz"
@@ -15,6 +17,22 @@ LONGEST_NAME = 31
 SMALLEST, LARGEST = 2.0**-20, 2.0**20  # half-widths of the inputs' ranges
 POWER_OF_TWO = "a power of two, 2^-20 to 2^20"
 RESERVED = re.compile(r"(qj|quadjax|neural_network|nn_controller|controller_quadjax)(_|$)")
+INCLUDED = re.compile(r'#include\s*[<"](?:[\w/]*/)?(\w+)\.[ch][">]')
+HEADERS = frozenset(  # of C, POSIX, firmware, and names that no file has on Windows
+    """
+    assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign
+    stdarg stdatomic stdbit stdbool stdckdint stddef stdint stdio stdlib stdnoreturn string tgmath
+    threads time uchar wchar wctype
+    aio cpio dirent dlfcn fcntl fmtmsg fnmatch ftw glob grp iconv langinfo libgen libintl monetary
+    mqueue ndbm netdb nl_types poll pthread pwd regex sched search semaphore spawn strings stropts
+    syslog tar termios trace ulimit unistd utime utmpx wordexp alloca endian features getopt malloc
+    memory values
+    abi actuators autopilot board build_config common config debug drivers freertos generated led
+    main motor paparazzi pinmux platform rc servo state std system types uart utils version
+    arm_math cmsis_compiler cmsis_gcc core_cm4 core_cm7
+    aux con nul prn
+    """.split()
+)
 
 
 def identifier(text: str) -> str:
@@ -27,18 +45,34 @@ def symbol_name(name: str | None, file: str) -> str:
     """The name of the files and of the table in C: the requested one, or the policy file's.
 
     Raises:
-        InputError: a name that is no identifier, or that of a file of the runtime.
+        InputError: a name that is no identifier, or that of a header of C, of the runtime or of a
+            firmware.
     """
     if name is None:
         stem = identifier(Path(file).stem)
-        return (f"policy_{stem}" if RESERVED.match(stem) else stem)[:LONGEST_NAME]
+        return (f"policy_{stem}" if _is_taken(stem) else stem)[:LONGEST_NAME]
     if identifier(name) != name or len(name) > LONGEST_NAME:
         raise InputError(
             f"--name {name!r}: expected a lower-case C identifier of at most {LONGEST_NAME} letters"
         )
-    if RESERVED.match(name):
-        raise InputError(f"--name {name!r}: files of the runtime have such names; choose another")
+    if _is_taken(name):
+        raise InputError(
+            f"--name {name!r}: files of the runtime, of C or of a firmware have such names; choose "
+            f"another, such as policy_{name}"
+        )
     return name
+
+
+def _is_taken(name: str) -> bool:
+    """Whether ``NAME.h`` may stand in the place of another header."""
+    return bool(RESERVED.match(name)) or name in HEADERS | _included()
+
+
+@functools.cache
+def _included() -> frozenset[str]:
+    """The names of the files that the runtime and the glue include."""
+    files = [path for path in RUNTIME.rglob("*") if path.suffix in (".c", ".h")]
+    return frozenset(name for path in files for name in INCLUDED.findall(path.read_text("utf-8")))
 
 
 def is_range(size: float) -> bool:

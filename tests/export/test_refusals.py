@@ -11,6 +11,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.export import flights
 from quadjax.export.convert import export_c
+from quadjax.export.names import symbol_name
 from quadjax.export.network import convert
 from quadjax.race.layout import Layout, ObservedField
 from tests.export.support import config_of, made, random_rollouts
@@ -124,3 +125,26 @@ def test_a_residual_that_the_policy_names_is_in_its_race(tmp_path, no_flights):
     assert exported.converted.race.residual is not None
     shipped = (PRETRAINED / "standin_residual.npz").read_bytes()
     assert Path(tmp_path / "c/residual.npz").read_bytes() == shipped
+
+
+@pytest.mark.parametrize(
+    ("stem", "name"),
+    [
+        *(("math", "policy_math"), ("string", "policy_string"), ("Std-Int", "std_int")),
+        *(("qj", "policy_qj"), ("state", "policy_state"), ("preflight_checks", None)),
+        *(
+            ("nul", "policy_nul"),
+            ("7", "policy_7"),
+            ("Flug über", "flug_ber"),
+            ("\u98db", "policy"),
+        ),
+    ],
+)
+def test_no_file_of_an_export_has_the_name_of_a_header(stem, name):
+    assert symbol_name(None, f"folder/{stem}.npz") == (name or f"policy_{stem}")
+
+
+@pytest.mark.parametrize("name", ["math", "string", "qj", "state", "preflight_checks", "nul"])
+def test_a_name_of_a_header_is_refused(name):
+    with pytest.raises(InputError, match=f"choose another, such as policy_{name}"):
+        symbol_name(name, "a.npz")

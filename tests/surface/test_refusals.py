@@ -217,6 +217,8 @@ export e2e --output out --range velocity | velocity power two
 export e2e --output out --range velocity=32 --range velocity=16 | velocity two
 export e2e --output out --name qj | runtime names
 export e2e --output out --name quadjax_policy | runtime names
+export e2e --output out --name string | runtime names policy_string
+export e2e --output out --name sys_time | runtime names policy_sys_time
 export e2e --output out --track nowhere.yaml | nowhere.yaml
 export e2e --output= | --output
 export e2e --output out --target indiflight | indiflight motor racing vehicle=5inch
