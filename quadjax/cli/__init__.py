@@ -117,7 +117,7 @@ def call(command: Callable[..., int | None], name: str, argv: Sequence[str]) -> 
         raise InputError(f"{text} (try --help)") from error
     check_outputs(command, bound.arguments)
     SET_OPTIONS.set(frozenset(bound.arguments))
-    ARGUMENTS.set([*name.split()[1:], *argv])
+    ARGUMENTS.set([*name.split(maxsplit=1), *argv])
     return command(*bound.args, **bound.kwargs)
 
 

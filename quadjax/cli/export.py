@@ -7,6 +7,7 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
+from quadjax.core.errors import quadjax_command
 from quadjax.core.interruptions import loading
 from quadjax.export.names import POWER_OF_TWO, check_new_folder, is_range, symbol_name
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS
@@ -83,11 +84,11 @@ def export(
     wrote(*(output / file for file in sorted(result.converted.files())))
     wrote(output / f"{result.name}_report.txt", output / f"{result.name}_report.json")
     print(f"Next: {verification(output, allow_unfinished, allow_other_race)}")
-    print(f"Then: quadjax sil {output}")
+    print(f"Then: {quadjax_command('sil', output)}")
 
 
 def verification(output: Path, allow_unfinished: bool, allow_other_race: bool) -> str:
     """The command that verifies an export, with the allowances that it needs too."""
     allowances = {"--allow-unfinished": allow_unfinished, "--allow-other-race": allow_other_race}
     used = [option for option, value in allowances.items() if value]
-    return " ".join(["quadjax verify", str(output), *used])
+    return quadjax_command("verify", output, *used)

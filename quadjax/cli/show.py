@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from quadjax.cli.files import check_writable
 from quadjax.cli.options import Flag, Overrides, Picture
 from quadjax.cli.output import note, wrote
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, quadjax_command
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import CONFIGS, KINDS, policy_names, preset_names
 
@@ -78,7 +78,7 @@ def show(
     print(text)
     wrote(figure)
     for kind, path in [] if Path(what).exists() else list(catalog.files_of(what).items())[1:]:
-        note(f"{what} is also a {kind}: quadjax show {path}")
+        note(f"{what} is also a {kind}: {quadjax_command('show', path)}")
 
 
 def listing() -> str:

@@ -9,7 +9,7 @@ from quadjax.cli import options as opt
 from quadjax.cli.export import Target
 from quadjax.cli.output import steps, wrote
 from quadjax.cli.view import view as show
-from quadjax.core.errors import INTERRUPTED, InputError
+from quadjax.core.errors import INTERRUPTED, InputError, quadjax_command
 from quadjax.core.folders import kind_of, results
 from quadjax.core.interruptions import interruptions, loading
 from quadjax.core.resources import find_policy, policy_names
@@ -115,11 +115,11 @@ def _shown(flown: "Flown", folder: Path, view: bool, source: str) -> int:
     if view and len(last.flight.time):
         show(str(folder / STATES_FILE), output=folder / "flight.html", open_=True)
     else:
-        print(f"Next: quadjax view {folder / STATES_FILE}")
+        print(f"Next: {quadjax_command('view', folder / STATES_FILE)}")
     if not any(flown.laps.crashes):
-        export = f"quadjax export {source} --target {setting.target} --output out"
+        words = ("export", source, "--target", setting.target, "--output", "out")
         copy = f"copy the C of {setting.source} to the autopilot"
-        print(f"Then: {export if setting.source.is_file() else copy}")
+        print(f"Then: {quadjax_command(*words) if setting.source.is_file() else copy}")
     return INTERRUPTED if last.flight.crash == STOPPED else 0
 
 

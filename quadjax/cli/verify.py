@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
-from quadjax.core.errors import as_options
+from quadjax.core.errors import as_options, quadjax_command
 from quadjax.core.files import check_file, write_json
 from quadjax.core.interruptions import loading
 from quadjax.export.names import POLICY_FILE, report_of
@@ -75,7 +75,7 @@ def verify(
     wrote(json)
     failed = any(result.verdict == FAILED for result in results)
     if not is_file and not failed:
-        print(f"Next: quadjax sil {folder}")
+        print(f"Next: {quadjax_command('sil', folder)}")
     return int(failed)
 
 

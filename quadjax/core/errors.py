@@ -5,6 +5,7 @@ import difflib
 import json
 import os
 import re
+import shlex
 import sys
 import traceback
 import warnings
@@ -39,6 +40,11 @@ def close_match(name: str, allowed: Sequence[str]) -> str:
     """``"; did you mean X?"`` for the allowed name closest to ``name``, or nothing."""
     near = difflib.get_close_matches(name, allowed, n=1)
     return f"; did you mean {near[0]}?" if near else ""
+
+
+def quadjax_command(*words: object) -> str:
+    """A command line of ``quadjax`` for a message, whose words are quoted for a shell."""
+    return shlex.join(["quadjax", *map(str, words)])
 
 
 @contextlib.contextmanager

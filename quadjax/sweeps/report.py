@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import shlex
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -9,6 +10,7 @@ import optuna
 from optuna.trial import FrozenTrial
 
 from quadjax.config.loading import load_config
+from quadjax.core.errors import quadjax_command
 from quadjax.core.files import write_csv, write_text
 from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
@@ -49,7 +51,7 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
     name, seeds = sweep.file.name, sweep.file.objective.seeds
     head = f"# {name}\n\n{len(rows) - 1} trials of {sweep.trials}; {sweep.file.search.method}; "
     head += f"median over {seeds} seeds of the lap time, s. "
-    head += f"Base: `{' '.join([sweep.base.name, *sweep.overrides])}`."
+    head += f"Base: `{shlex.join([sweep.base.name, *sweep.overrides])}`."
     head += f"\n\n{line_of(provenance(load_config(sweep.base, sweep.overrides)))}"
     complete = study.get_trials(states=(State.COMPLETE,))
     last = "No policy finished a flight: every value is the penalty. Train for more steps."
@@ -59,7 +61,7 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
         title = f"# Trial {number_of(best)} of {name}: lap time {best.value:.3f} s\n"
         write_text(directory / "best.yaml", title + config.to_yaml())
         draw([t for t in finished if t.user_attrs["finished"] >= 1.0] or finished, directory)
-        last = f"best config: quadjax train {directory / 'best.yaml'}"
+        last = f"best config: {quadjax_command('train', directory / 'best.yaml')}"
     write_text(directory / "report.md", f"{head}\n\n{table(rows)}\n\n{last}\n")
     return f"{table(rows[: PRINTED + 1])}\n\n{last}\nall trials, report and figures: {directory}"
 

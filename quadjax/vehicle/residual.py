@@ -22,7 +22,7 @@ import numpy as np
 from flax import struct
 
 from quadjax.core import mlp
-from quadjax.core.errors import InputError, reading
+from quadjax.core.errors import InputError, quadjax_command, reading
 from quadjax.core.files import read_layers, read_npz, write_npz
 from quadjax.core.mlp import Params
 from quadjax.core.resources import PRETRAINED
@@ -124,9 +124,10 @@ def read_residual(path: Path | str) -> Residual:
         path = located(path)
         exists = path.exists()
     if not exists:
+        words = ("import", "e2e_paper", "THRUST", "MOMENT", "--thrust-sign", 1, "--output", path)
         raise InputError(
-            f"{path}: no such file, expected a residual: quadjax import e2e_paper THRUST MOMENT "
-            f"--thrust-sign 1 --output {path} writes one of two networks, quadjax fit one of logs"
+            f"{path}: no such file, expected a residual: {quadjax_command(*words)} writes one of "
+            "two networks, quadjax fit one of logs"
         )
     arrays, meta = read_npz(path, FORMATS)
     return from_arrays(path, arrays, meta if meta["format"] == FORMAT else meta.get("residual"))

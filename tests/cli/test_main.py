@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 import quadjax
+from quadjax.cli import call
+from quadjax.cli.output import resuming_command
 from quadjax.core.errors import InputError, run_command
 from quadjax.core.imports import load_object, user_numbers
 from quadjax.core.interruptions import interruptions
@@ -36,6 +38,24 @@ def test_what_is_shipped_is_listed(capsys):
     assert all(len(line.split()) > 2 for line in names)
     for each in (*preset_names("tracks"), *preset_names("vehicles"), *policy_names()):
         assert each in text
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "wanted"),
+    [
+        ("quadjax train", ["a b.yaml", "--overwrite"], "quadjax train 'a b.yaml' --resume"),
+        (
+            "python my scripts/x.py",
+            ["--name", "#1"],
+            "python 'my scripts/x.py' --name '#1' --resume",
+        ),
+    ],
+)
+def test_a_command_that_resumes_is_the_one_given_quoted_for_a_shell(name, words, wanted):
+    def command(*words: str, name: str = "", overwrite: bool = False) -> None:
+        assert resuming_command() == wanted
+
+    call(command, name, words)
 
 
 SHOWN = {

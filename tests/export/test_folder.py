@@ -112,8 +112,10 @@ def test_a_file_is_verified_by_itself(exported, tmp_path, capsys, monkeypatch):
     assert "--runs has no effect on a .qjp file" in capsys.readouterr().err
     verify = functools.partial(run.verify, only=("range proof",))
     monkeypatch.setattr(run, "verify", lambda *words, **options: verify(*words))
-    assert command("verify", exported) == 0
-    assert capsys.readouterr().out.endswith(f"\nNext: quadjax sil {exported}\n")
+    folder = shutil.copytree(exported, tmp_path / "aus #1")
+    assert command("verify", folder) == 0
+    assert capsys.readouterr().out.endswith(f"\nNext: quadjax sil '{folder}'\n")
+    assert verification(folder, True, False) == f"quadjax verify '{folder}' --allow-unfinished"
 
 
 def test_the_target_decides_what_is_written(exported):

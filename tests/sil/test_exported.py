@@ -34,14 +34,18 @@ from tests.sil.support import Autopilot, Counting, short_world
 
 
 @pytest.mark.parametrize("crash", ["", "ground"])
-@pytest.mark.parametrize(("file", "step"), [("", "copy the C"), ("p.npz", "quadjax export e2e")])
+@pytest.mark.parametrize(
+    ("file", "step"), [("", "copy the C"), ("p.npz", "quadjax export 'an e2e'")]
+)
 def test_c_of_which_a_flight_crashed_is_not_to_be_used(file, step, crash, tmp_path, capsys):
     (tmp_path / "p.npz").touch()
     race = SimpleNamespace(flight=SimpleNamespace(time=[0.0], crash=""))
     laps = SimpleNamespace(crashes=(crash, ""))  # the last of two flights completes its laps
     flown = SimpleNamespace(setting=Setting(tmp_path / file, None), races=[race], laps=laps)
-    assert command._shown(flown, tmp_path, False, "e2e") == 0
-    assert (f"Then: {step}" in capsys.readouterr().out) is not bool(crash)
+    assert command._shown(flown, tmp_path / "a #1", False, "an e2e") == 0
+    printed = capsys.readouterr().out
+    assert f"Next: quadjax view '{tmp_path / 'a #1' / 'states.npz'}'" in printed
+    assert (f"Then: {step}" in printed) is not bool(crash)
 
 
 def on_the_plant(folder):
