@@ -7,6 +7,7 @@ for bad input or a system error, 130 for Ctrl-C.
 """
 
 import importlib
+import io
 import keyword
 import os
 import re
@@ -49,12 +50,25 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
         arguments: the arguments after it; those of ``sys.argv`` if not given.
     """
     argv = list(sys.argv[1:] if arguments is None else arguments)
+    prepare_process()
     status = run(argv if command is None else [command, *argv])
     if status == INTERRUPTED:  # without waiting for threads, which may be compiling
         if sys.stdout is not None:
             sys.stdout.flush()
         os._exit(status)
     sys.exit(status)
+
+
+def prepare_process() -> None:
+    """Let no setting of the environment end a command after its work.
+
+    Characters that the encoding of an output stream lacks are replaced. Figures are files, so the
+    backend of Matplotlib's windows has no effect, also if it is none.
+    """
+    os.environ["MPLBACKEND"] = "agg"
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape"):
+            stream.reconfigure(errors="replace")
 
 
 def run(argv: list[str]) -> int:
@@ -124,6 +138,7 @@ def call(command: Callable[..., int | None], name: str, argv: Sequence[str]) -> 
 def script(command: Callable[..., int | None]) -> NoReturn:
     """Run a function as a script with the arguments of the command line, and exit."""
     name = f"python {sys.argv[0]}"
+    prepare_process()
     sys.exit(run_command(lambda: call(command, name, sys.argv[1:])))
 
 

@@ -2,6 +2,8 @@
 
 import io
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -156,3 +158,21 @@ def test_lists_fit_a_terminal(command, capsys):
     lines = capsys.readouterr().out.splitlines()
     text = [line for line in lines if command == ["show"] or line.lstrip().startswith("#")]
     assert len(text) > 10 and max(map(len, text)) < 80
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_nothing_is_lost_where_the_environment_fits_no_output(encoding, tmp_path):
+    """A stream that cannot write a character, and a backend of Matplotlib that is none."""
+    track = (CONFIGS / "tracks/square4.yaml").read_text()
+    (tmp_path / "λ飛.yaml").write_text(track.replace("name: square4", "name: λ飛 ü"))
+    environment = {"PYTHONIOENCODING": encoding, "MPLBACKEND": "nonsense"}
+    done = subprocess.run(
+        [sys.executable, "-m", "quadjax", "show", "λ飛.yaml", "--figure", "λ飛.png"],
+        cwd=tmp_path,
+        capture_output=True,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])} | environment,
+    )
+    wanted = "λ飛 ü".encode(encoding, errors="replace")
+    assert done.returncode == 0 and wanted in done.stdout, done.stderr
+    assert done.stderr.endswith("wrote λ飛.png\n".encode(encoding, errors="backslashreplace"))
+    assert (tmp_path / "λ飛.png").read_bytes().startswith(b"\x89PNG")

@@ -35,7 +35,7 @@ class Compiler:
         """
         files = [*map(str, sources), "-o", str(output)]
         command = [*self.command, *self.flags, *files, *extra]  # a library follows its users
-        done = subprocess.run(command, capture_output=True, text=True)
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace")
         if done.returncode:
             words = ("error:", "warning", "undefined")
             lines = [line for line in done.stderr.splitlines() if any(w in line for w in words)]
