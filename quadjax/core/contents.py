@@ -7,11 +7,10 @@ from pathlib import Path
 from quadjax.core.errors import InputError, reading
 
 HEAD = 4096  # bytes that are looked at
-TEXT, NPZ, TORCH, SB3, PICKLE = "text", "NumPy arrays (.npz)", "PyTorch (.pt)", "SB3", "pickle"
+TEXT, NPZ, TORCH, SB3, PICKLE, EMPTY = "text", "npz", "torch", "sb3", "pickle", "empty"
 ULOG, ULOG_MAGIC = "a ULog file of PX4 (.ulg)", b"ULog\x01\x12\x35"
 BLACKBOX = re.compile(rb"H Product:\s*Blackbox")
 WHAT = {  # kinds whose name is not what a message says
-    TEXT: "text",
     NPZ: "an archive of NumPy arrays (.npz)",
     TORCH: "a file of PyTorch (.pt)",
     SB3: "a model of Stable-Baselines3 (.zip)",
@@ -51,7 +50,7 @@ def kind_of(path: Path | str) -> str:
             return _kind_of_zip(path)
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     if not head:
-        return "empty"
+        return EMPTY
     if re.match(rb"(?i)<(!doctype|html|head)\b", start):
         return "an HTML page, perhaps the page of a download and not the file"
     if BLACKBOX.match(start):

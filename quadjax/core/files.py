@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.core.contents import NPZ, TEXT, check_kind
+from quadjax.core.contents import EMPTY, NPZ, TEXT, check_kind
 from quadjax.core.errors import InputError, reading, writing
 
 TEMPORARY = ".writing-"  # prefix of temporary files
@@ -115,19 +115,20 @@ def check_file(path: Path | str) -> None:
         raise InputError(f"{path}: not a regular file")
 
 
-def read_text(path: Path | str, limit: int = MAX_BYTES) -> str:
+def read_text(path: Path | str, limit: int = MAX_BYTES, empty: bool = False) -> str:
     """The text of a UTF-8 file, with or without a byte-order mark.
 
     Args:
         path: the file.
         limit: largest allowed size, bytes.
+        empty: whether it may be empty.
 
     Raises:
         InputError: not a regular file, unreadable, empty or something else than text, larger, or
             not UTF-8.
     """
     check_file(path)
-    check_kind(path, "text", TEXT)
+    check_kind(path, "text", TEXT, *([EMPTY] if empty else []))
     with reading(path):
         with open(path, "rb") as stream:
             data = stream.read(limit + 1)

@@ -215,7 +215,7 @@ def read_metrics(path: Path | str) -> dict[str, np.ndarray]:
 
 
 def _read_rows(path: Path | str) -> list[Row]:
-    lines = read_text(path).splitlines()
+    lines = read_text(path, empty=True).splitlines()
     reader = csv.DictReader(lines)
     try:
         numbered = [(reader.line_num, row) for row in reader]
