@@ -10,6 +10,7 @@ import numpy as np
 from quadjax.config.schema import Config, Vehicle
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
+from quadjax.core.precision import single_precision
 from quadjax.core.provenance import file_record, provenance
 from quadjax.core.yaml_files import to_yaml
 from quadjax.evaluation.conditions import Conditions
@@ -38,6 +39,7 @@ def check_policies(files: Mapping[str, Path]) -> None:
             raise InputError(f"{file}: a policy for the {vehicle} vehicle, {expected}")
 
 
+@single_precision
 def compare(
     files: Mapping[str, Path],
     race: Config,

@@ -63,9 +63,10 @@ def prepare_process() -> None:
     """Let no setting of the environment end a command after its work.
 
     Characters that the encoding of an output stream lacks are replaced. Figures are files, so the
-    backend of Matplotlib's windows has no effect, also if it is none.
+    backend of Matplotlib's windows has no effect, also if it is none. JAX computes in single
+    precision (``quadjax.core.precision``).
     """
-    os.environ["MPLBACKEND"] = "agg"
+    os.environ |= {"MPLBACKEND": "agg", "JAX_ENABLE_X64": "0"}
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape"):
             stream.reconfigure(errors="replace")

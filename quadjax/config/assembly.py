@@ -11,6 +11,7 @@ from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
+from quadjax.core.precision import single_precision
 from quadjax.core.traced import SectionType, as_leaves
 from quadjax.race.draws import FROM_GROUND, Disturbance, Start
 from quadjax.race.environment import make_environment
@@ -184,6 +185,7 @@ def race_of(config: Config) -> tuple[Choices, RaceParams]:
     return make_choices(config), make_params(config)
 
 
+@single_precision
 def make_race(config: Config | Path | str) -> tuple[Environment, RaceParams]:
     """The race of a config as three pure functions of one drone, and every number in them.
 

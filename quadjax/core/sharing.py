@@ -31,6 +31,8 @@ def _is_of_package(value: object) -> bool:
         return all(map(_is_of_package, value))
     if isinstance(value, functools.partial):
         return _is_of_package((value.func, *value.args, *value.keywords.values()))
+    if isinstance(value, types.FunctionType) and hasattr(value, "__wrapped__"):
+        return _is_of_package(value.__wrapped__)
     if isinstance(value, types.MethodType):
         return _is_of_package((value.__func__, value.__self__))
     if isinstance(value, (str, int, float, type(None))):

@@ -15,6 +15,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
+from quadjax.core.precision import single_precision
 from quadjax.core.provenance import provenance
 from quadjax.evaluation import figures
 from quadjax.evaluation.conditions import Condition, Conditions, Start, read_conditions
@@ -30,6 +31,7 @@ from quadjax.policy.file import Policy
 from quadjax.race.laps import Actor, Laps
 
 
+@single_precision
 def evaluate(
     policy: Policy | Path | str,
     config: Config | Path | str,

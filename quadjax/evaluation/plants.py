@@ -7,6 +7,7 @@ import numpy as np
 
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
+from quadjax.core.precision import single_precision
 from quadjax.evaluation.conditions import Conditions
 from quadjax.evaluation.rows import Row, concatenate
 from quadjax.flights.flight import MOTORS, Flight, Signal
@@ -28,6 +29,7 @@ RECORDED = 5  # flights of a plant that are recorded
 MOTOR_COMMAND = "motor_command"  # signal of a flight on the plant: commanded rotor speeds, rpm
 
 
+@single_precision
 def fly_plants(
     policy: Policy, name: str, race: Config, plant: PlantConfig, label: str, protocol: Conditions
 ) -> Row:
@@ -85,6 +87,7 @@ def drawn(plant: PlantConfig, count: int) -> Iterator[PlantConfig]:
         yield plant.replace(constants=plant.constants.replace(seed=seed))
 
 
+@single_precision
 def write_logs(
     plan: Plan,
     name: str,

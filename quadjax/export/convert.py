@@ -14,6 +14,7 @@ from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError, writing
 from quadjax.core.files import whole_file, write_bytes, write_json
 from quadjax.core.folders import claim, replacement
+from quadjax.core.precision import single_precision
 from quadjax.core.provenance import provenance
 from quadjax.export import emulator
 from quadjax.export.conversion import Converted, Options, convert_policy
@@ -66,6 +67,7 @@ class Export:
         return emulator.commands(self.converted.fixed.network, observations)
 
 
+@single_precision
 def export_c(
     policy: Policy | Path | str,
     folder: Path | str,
@@ -143,6 +145,7 @@ def export_c(
     return export
 
 
+@single_precision
 def convert_file(
     path: Path,
     options: Options,

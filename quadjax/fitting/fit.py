@@ -8,6 +8,7 @@ import numpy as np
 
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
+from quadjax.core.precision import single_precision
 from quadjax.fitting.axes import Prediction
 from quadjax.fitting.config import FitConfig, with_body
 from quadjax.fitting.flight_log import read_logs
@@ -76,6 +77,7 @@ class Fit:
         return [log.name for log in self.logs if log.name not in self.config.split.test_flights]
 
 
+@single_precision
 def fit(config: FitConfig, folder: Path = Path(), report: Report = lambda line: None) -> Fit:
     """Fit a drone's model to its flight logs: that of the base vehicle, ``motor`` or ``racing``.
 

@@ -19,6 +19,7 @@ from quadjax.config.schema import Config
 from quadjax.core.environment import Environment, vectorize, where_done
 from quadjax.core.errors import InputError
 from quadjax.core.forks import refuse_forked
+from quadjax.core.precision import single_precision
 from quadjax.core.sections import MAX_RUNS, check_integer
 from quadjax.race.types import RaceParams, RaceState
 
@@ -108,6 +109,7 @@ class RaceVectorEnv(VectorEnv):
     the observations in which episodes ended, and ``final_info``.
     """
 
+    @single_precision
     def __init__(
         self,
         environment: Environment,
@@ -140,6 +142,7 @@ class RaceVectorEnv(VectorEnv):
         self._batch: Batch | None = None
         self._last = np.zeros((num_envs, size), np.float32)  # observations
 
+    @single_precision
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, Info]:
@@ -164,6 +167,7 @@ class RaceVectorEnv(VectorEnv):
         self._batch, self._last = Batch(state, jnp.asarray(over), key), rows
         return self._last.copy(), {}
 
+    @single_precision
     def step(self, actions: np.ndarray) -> Step:
         """Simulate one step of every drone.
 

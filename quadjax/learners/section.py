@@ -13,6 +13,7 @@ from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.imports import load_object
 from quadjax.core.mlp import Params
+from quadjax.core.precision import single_precision
 from quadjax.core.sections import (
     LARGEST,
     MAX_SEED,
@@ -141,6 +142,7 @@ class LearnerSection(Section):
         plan = plan_chunks(steps, steps_per_chunk, first.steps_per_update)
         return self.make(environment, network, plan.updates), plan
 
+    @single_precision
     def train(
         self,
         environment: Environment,
@@ -205,7 +207,9 @@ class LearnerSection(Section):
                 progress({"seconds": time.monotonic() - started} | latest.row)
         parameters = jax.device_get(state.evaluated)
         return TrainResult(
-            policy=jax.jit(lambda observation: mean_action(network, parameters, observation)),
+            policy=single_precision(
+                jax.jit(lambda observation: mean_action(network, parameters, observation))
+            ),
             parameters=parameters,
             metrics={name: np.concatenate([h[name] for h in history]) for name in history[0]},
             steps=plan.steps,

@@ -12,6 +12,7 @@ from quadjax.config.assembly import make_vehicle, race_of
 from quadjax.config.loading import stored_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
+from quadjax.core.precision import single_precision
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.flights import flight as recorded
@@ -46,6 +47,7 @@ class Flights:
     step: float  # s between frames
 
 
+@single_precision
 def plan_race(
     config: Config,
     plant: PlantConfig,
@@ -117,6 +119,7 @@ def race_config(config: Config, policy: Policy) -> Config:
     )
 
 
+@single_precision
 def plan_logs(
     config: Config, plant: PlantConfig, policy: Path | str, flights: int, laps: int
 ) -> Plan:
@@ -191,6 +194,7 @@ def check_steps(layout: Layout, training_step: float, step: float) -> None:
         )
 
 
+@single_precision
 def fly_plan(
     plan: Plan, seed: int = 0, report: Callable[[float], None] = lambda seconds: None
 ) -> Flights:

@@ -34,6 +34,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite, read_layers, read_npz, write_npz
 from quadjax.core.mlp import to_params
+from quadjax.core.precision import single_precision
 from quadjax.core.resources import policy_file
 from quadjax.core.sections import LARGEST, Field, Section, validate
 from quadjax.learners.networks import ActorCritic
@@ -228,10 +229,12 @@ class Policy:
         """The mean action, as ``mean``: a ``TrainResult.policy`` is called in the same way."""
         return self.mean(observation)
 
+    @single_precision
     def mean(self, observation: jax.Array) -> jax.Array:
         """The mean action (.., actions) of observations (.., layout.size), clipped to [-1, 1]."""
         return jnp.clip(inference.mean_action(self.on_device(), observation), -1, 1)
 
+    @single_precision
     def sample(self, observation: jax.Array, key: jax.Array) -> jax.Array:
         """Actions (.., actions) in [-1, 1], drawn with a PRNG key."""
         params = self.on_device()

@@ -17,6 +17,7 @@ from quadjax.core.environment import Environment
 from quadjax.core.gradients import clip_inward
 from quadjax.core.integrators import INTEGRATORS
 from quadjax.core.materialize import materialize, materialize_cotangent, materializing
+from quadjax.core.precision import single_precision
 from quadjax.core.sharing import bound, cached
 from quadjax.core.traced import with_leaves
 from quadjax.race.episode import reset
@@ -152,6 +153,7 @@ def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
 def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
     """The environment of ``choices`` with the interface that learners use."""
 
+    @single_precision
     def step(
         params: RaceParams, state: RaceState, action: jax.Array
     ) -> tuple[RaceState, jax.Array, jax.Array, jax.Array]:
@@ -163,8 +165,8 @@ def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
 
     return Environment(
         completed=completed if choices.report_passes else None,
-        reset=functools.partial(reset, choices),
-        observe=functools.partial(observe, choices),
+        reset=single_precision(functools.partial(reset, choices)),
+        observe=single_precision(functools.partial(observe, choices)),
         step=step,
         observation_size=choices.layout.size,
         action_size=choices.model.action_size,

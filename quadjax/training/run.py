@@ -19,6 +19,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
 from quadjax.core.interruptions import interruptions
 from quadjax.core.mlp import Params
+from quadjax.core.precision import single_precision
 from quadjax.learners import parallel
 from quadjax.learners.loop import Plan, Progress, Row, train_chunks
 from quadjax.learners.parallel import Chunk
@@ -47,6 +48,7 @@ POLL = 0.2  # s
 ADVISE_AFTER = 1 / 3  # of a run in which no lap is completed
 
 
+@single_precision
 def train(
     config: Config | Path | str,
     folder: Path | str | None = None,
@@ -223,10 +225,11 @@ def _compile(
 
     pool = ThreadPoolExecutor(4)
     try:
-        first = pool.submit(begin)
-        warm_up = pool.submit(lambda: fly(first.result().evaluated))
+        first = pool.submit(single_precision(begin))
+        warm_up = pool.submit(single_precision(lambda: fly(first.result().evaluated)))
         updates = job.plan.updates_per_chunk
-        chunk = pool.submit(parallel.compile_chunk, learner, mesh, updates, params, job.shapes)
+        compile_chunk = single_precision(parallel.compile_chunk)
+        chunk = pool.submit(compile_chunk, learner, mesh, updates, params, job.shapes)
         warned = [pool.submit(warn, display)] if display is not None else []
         _wait_for((chunk, warm_up, *warned), stop, display)
         return chunk.result(), first.result()

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.core.precision import single_precision
 from quadjax.core.vectors import Vec3
 from quadjax.vehicle.protocol import Constants, Motion, State, VehicleModel, VehicleParams
 
@@ -23,6 +24,7 @@ class VehicleSummary(NamedTuple):
     warnings: list[str]  # implausible values, which are probably in a wrong unit
 
 
+@single_precision
 def summarize(model: VehicleModel, values: Mapping[str, float]) -> VehicleSummary:
     """The summary of a model with constants by name."""
     c = model.make_constants({name: jnp.float32(value) for name, value in values.items()})
