@@ -28,6 +28,18 @@ def test_importing_quadjax_is_fast_and_imports_neither_jax_nor_numpy():
     assert min(seconds) < 0.3
 
 
+def test_what_is_printed_of_a_result_is_one_line():
+    laps = quadjax.evaluate("indi", "indi", laps=1, runs=2)
+    assert repr(laps) == "Evaluation(indi sampled, 2 runs: 2/2 finished)"
+    found = repr(laps.flights[0])
+    samples, gates = len(laps.flights[0].time), len(laps.flights[0].passages)
+    seconds = laps.flights[0].time[-1]
+    assert found == (
+        f"Flight('run 1': {samples} samples of {seconds:.2f} s, {gates} gates passed, 1 laps)"
+    )
+    assert repr(quadjax.Policy.load("e2e")) == ("Policy(24-64-64-64-4, relu, vehicle model motor)")
+
+
 def test_every_public_name_exists_and_is_documented():
     for name in quadjax.__all__:
         assert name in dir(quadjax)

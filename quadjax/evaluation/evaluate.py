@@ -152,6 +152,15 @@ class Evaluation:
     by_condition: bool = False
     left_out: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        """One line, of each row: policy, condition, how many runs finished."""
+        rows = (
+            f"{' '.join(filter(None, (row.policy, row.condition)))}: "
+            f"{row.laps.finished}/{len(row.laps.totals)} finished"
+            for row in self.rows
+        )
+        return f"Evaluation({', '.join(rows)})"
+
     def __getitem__(self, label: str) -> Row:
         """The first row of a condition, by its label."""
         return next(row for row in self.rows if row.condition == label)

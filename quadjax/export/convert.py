@@ -16,6 +16,7 @@ from quadjax.core.files import whole_file, write_bytes, write_json
 from quadjax.core.folders import claim, replacement
 from quadjax.core.precision import single_precision
 from quadjax.core.provenance import provenance
+from quadjax.core.resources import policy_file
 from quadjax.export import emulator
 from quadjax.export.conversion import Converted, Options, convert_policy
 from quadjax.export.disturbances import CUTOFF, SAMPLE_RATE, check_cutoff
@@ -48,6 +49,10 @@ class Export:
     folder: Path
     converted: Converted
     report: Json  # as in the folder's ``NAME_report.json``
+
+    def __repr__(self) -> str:
+        """One line: the name of the files and their folder."""
+        return f"Export({self.name!r} in {self.folder})"
 
     @property
     def name(self) -> str:
@@ -125,7 +130,7 @@ def export_c(
     find_target(target)
     enable_compilation_cache()
     folder = Path(folder)
-    file = POLICY_FILE if isinstance(policy, Policy) else Path(policy).name
+    file = POLICY_FILE if isinstance(policy, Policy) else policy_file(policy).name
     symbol = symbol_name(name, file)
     inputs = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, INNER_LOOP)
     files = (*inputs, f"{symbol}[._]*", *FOLDERS)
@@ -180,7 +185,7 @@ def _check_rates(converted: Converted, sample_rate: float | None, cutoff: float 
 def _policy_file(policy: Policy | Path | str) -> Iterator[Path]:
     """The path of a policy file; a policy in memory is written to a temporary one."""
     if not isinstance(policy, Policy):
-        yield Path(policy)
+        yield policy_file(policy)
         return
     with tempfile.TemporaryDirectory() as folder:
         policy.save(Path(folder) / POLICY_FILE)

@@ -56,6 +56,10 @@ class Fit:
     battery: BatteryFit | None  # the limit of the propeller speeds; None without commanded speeds
     warnings: list[str]  # one line each
 
+    def __repr__(self) -> str:
+        """One line, without the samples."""
+        return f"Fit({self.vehicle.name!r}, model {self.model}, {len(self.logs)} logs)"
+
     @property
     def samples(self) -> Samples:
         """Every row in flight, as the written model has them."""

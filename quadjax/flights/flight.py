@@ -79,6 +79,13 @@ class Flight:
     crash: str | None = None
     source: dict[str, Any] = dataclasses.field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """One line, without the samples."""
+        seconds = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
+        counts = f"{len(self.time)} samples of {seconds:.2f} s, {len(self.passages)} gates passed"
+        ended = f", {self.crash}" if self.crash else ""
+        return f"Flight({self.name!r}: {counts}, {len(self.lap_ends)} laps{ended})"
+
     def __getitem__(self, name: str) -> np.ndarray:
         """The values (n, k) of a signal."""
         return self.signals[name].values

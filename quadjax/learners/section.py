@@ -93,8 +93,9 @@ class TrainResult:
     """The result of a training run."""
 
     policy: Callable[[jax.Array], jax.Array]  # observation (..., n) -> mean action (..., k)
-    parameters: Params  # of the ``ActorCritic``; averaged, where the learner averages
-    metrics: dict[str, np.ndarray]  # (updates,) each
+    # of the ``ActorCritic``; averaged, where the learner averages
+    parameters: Params = dataclasses.field(repr=False)
+    metrics: dict[str, np.ndarray] = dataclasses.field(repr=False)  # (updates,) each
     steps: int  # environment steps done
 
 

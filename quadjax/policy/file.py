@@ -104,6 +104,10 @@ class Policy:
     residual: Residual | None = None
     own: OwnNetwork | None = None
 
+    def __repr__(self) -> str:
+        """One line, without the numbers."""
+        return f"Policy({self.describe()}, vehicle model {self.vehicle})"
+
     @classmethod
     def load(
         cls,

@@ -14,6 +14,7 @@ import pytest
 from quadjax import __version__
 from quadjax.cli.export import verification
 from quadjax.core.errors import InputError
+from quadjax.core.resources import PRETRAINED
 from quadjax.export import convert, emulator
 from quadjax.export.conversion import sha256
 from quadjax.export.convert import export_c
@@ -262,3 +263,16 @@ def test_an_interrupted_export_is_whole_or_nothing(during, tmp_path, no_flights,
         assert read_folder(out).options.name == "first"
     else:
         assert not out.exists()
+
+
+@pytest.mark.slow
+def test_a_policy_is_named_as_on_the_command_line(tmp_path):
+    """By a shipped name, or as the folder of a run."""
+    folder = tmp_path / "racer"
+    folder.mkdir()
+    shutil.copy(PRETRAINED / "indi.npz", folder / "policy.npz")
+    for policy, name in (("indi", "indi"), (folder, "policy")):
+        export = export_c(policy, tmp_path / name)
+        assert repr(export) == f"Export({name!r} in {tmp_path / name})"
+        assert export.report["policy"] == f"{name}.npz"
+        assert (tmp_path / name / f"{name}_report.json").is_file()
