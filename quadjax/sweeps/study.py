@@ -6,6 +6,7 @@ parameters. Its folder has the number of its first attempt.
 """
 
 import contextlib
+import re
 import socket
 import zlib
 from collections.abc import Iterator
@@ -154,14 +155,17 @@ def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
 
 
 def without_secrets(text: str, url: str) -> str:
-    """The text without what a database's URL may hold of a password: whole, parsed or not."""
+    """The text without what a database's URL may hold of a password: whole, parsed or not.
+
+    Parts of other words and numbers stay: of a password ``7/s3cret`` that ``127.0.0.1`` has.
+    """
     user, at, _ = url.partition("://")[2].rpartition("@")
     password = user.partition(":")[2] if at else ""
     query = [entry.partition("=")[2] for entry in url.partition("?")[2].split("&")]
     parts = [password, *password.split("/"), *query]  # "/" in a password ends it for a parser
     secrets = {url, *parts, *map(unquote, parts)} - {""}
     for secret in sorted(secrets, key=len, reverse=True):
-        text = text.replace(secret, "***")
+        text = re.sub(rf"(?<![\w.]){re.escape(secret)}(?!\w|\.\w)", "***", text)
     return text
 
 

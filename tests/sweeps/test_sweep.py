@@ -27,6 +27,7 @@ from quadjax.sweeps.study import (
     open_study,
     trials_left,
     trials_over,
+    without_secrets,
 )
 from quadjax.sweeps.sweep import load_sweep
 from tests.commands import run
@@ -118,6 +119,20 @@ def test_the_command_refuses_in_one_line_without_a_password_and_leaves_nothing(
     assert "no trials of the sweep small; run it first" in capfd.readouterr().err
     assert run("sweep", sweep_file(tmp_path), "--check", "--output", runs) == 0
     assert "4 trials of 1 seeds" in capfd.readouterr().out and not runs.exists()
+
+
+@pytest.mark.parametrize(
+    ("url", "text", "wanted"),
+    [
+        ("mysql://me:7/s3cret@h/db", "at 127.0.0.1:37, 7", "at 127.0.0.1:37, ***"),
+        ("mysql://me:7/s3cret@h/db", "no host 'me:7', s3cret.", "no host 'me:***', ***."),
+        ("mysql://me:a@h/db?timeout=1", "a bad 127.0.0.1: 1", "*** bad 127.0.0.1: ***"),
+        ("mysql://me:p%40ss%2F!@h/db", "p@ss/! or p%40ss%2F!", "*** or ***"),
+        ("sqlite:///a.db", "a.db at 127.0.0.1", "a.db at 127.0.0.1"),
+    ],
+)
+def test_a_password_is_hidden_and_no_part_of_another_word(url, text, wanted):
+    assert without_secrets(text, url) == wanted
 
 
 def test_a_grid_holds_every_point_and_overrides_change_a_sweep(tmp_path):
