@@ -64,11 +64,7 @@ def passages(
     if not gates or len(time) < 2:
         return np.zeros((0, 3))
     if target is not None and len(gates) > 1:
-        (samples,) = np.nonzero(target[1:] != target[:-1])
-        rows = [
-            (*_crossings(time, position, gates[index], samples[i : i + 1])[0], index)
-            for i, index in enumerate(target[samples].astype(int))
-        ]
+        rows = _by_target(time, position, gates, target.astype(int))
         ahead = int(target[-1])
     else:
         rows = _in_order(time, position, gates, reach, closed)
@@ -98,28 +94,49 @@ def passages_at(
     return np.stack([when, np.array(order, float), np.array(clear)], axis=1)
 
 
+def _by_target(
+    time: np.ndarray, position: np.ndarray, gates: Sequence[GateSection], target: np.ndarray
+) -> list[tuple[float, float, int]]:
+    """Time, clearance and gate of each passage by the targets (n,), of which one step may skip."""
+    rows: list[tuple[float, float, int]] = []
+    for sample in np.flatnonzero(target[1:] != target[:-1]):
+        number, following = int(target[sample]), int(target[sample + 1])
+        while True:
+            crossing = _crossings(time, position, gates[number], np.array([sample]))[0]
+            rows.append((*crossing, number))
+            number = (number + 1) % len(gates)
+            before, after = _ahead(position[sample : sample + 2], gates[number])
+            if number == following or not before < 0 <= after:
+                break
+    return rows
+
+
+def _ahead(position: np.ndarray, gate: GateSection) -> np.ndarray:
+    """How far positions (n, 3) are beyond a gate's plane (n,), m."""
+    return (position - np.array(gate.position)) @ np.array(gate.axes)[:, 0]
+
+
 def _in_order(
     time: np.ndarray, position: np.ndarray, gates: Sequence[GateSection], reach: float, closed: bool
 ) -> list[tuple[float, float, int]]:
     """Time, clearance and gate of each passage through the openings, widened by ``reach``."""
     through = []
     for gate in gates:
-        ahead = (position - np.array(gate.position)) @ np.array(gate.axes)[:, 0]
+        ahead = _ahead(position, gate)
         (samples,) = np.nonzero((ahead[:-1] < 0) & (ahead[1:] >= 0))
         crossings = _crossings(time, position, gate, samples)
         inside = crossings[:, 1] >= -reach
-        through.append((samples[inside], crossings[inside]))
+        through.append(crossings[inside])
     rows: list[tuple[float, float, int]] = []
     last = len(position) if closed else len(gates)
-    sample = 0
+    when = -np.inf
     while len(rows) < last:
         number = len(rows) % len(gates)
-        samples, crossings = through[number]
-        first = int(np.searchsorted(samples, sample))
-        if first == len(samples):
+        first = int(np.searchsorted(through[number][:, 0], when, side="right"))
+        if first == len(through[number]):
             break
-        sample = int(samples[first]) + 1
-        rows.append((*crossings[first], number))
+        when = through[number][first, 0]
+        rows.append((*through[number][first], number))
     return rows
 
 

@@ -40,6 +40,21 @@ def test_gates_are_passed_in_order_from_behind_and_inside():
     assert not len(passages(time, position, ()))
 
 
+@pytest.mark.parametrize("by_target", [False, True])
+def test_gates_that_are_passed_between_two_samples_count_in_their_order(by_target):
+    """At 20 m/s a log of 20 Hz has a sample each meter; the gates are 0.3 m apart."""
+    gates = tuple(NORTH.replace(position=(x, 0.0, -1.5)) for x in (2.2, 2.5, 2.8, 8.5))
+    time, x = 0.05 * np.arange(8), np.arange(1.0, 9.0)
+    position = np.stack([x, 0 * x, 0 * x - 1.5], axis=1)
+    target = np.array([0, 0, 3, 3, 3, 3, 3, 3]) if by_target else None
+    passed = passages(time, position, gates, target=target, cut=False)
+    np.testing.assert_array_equal(passed[:, 1], [0, 1, 2])
+    np.testing.assert_allclose(passed[:, 0], [0.06, 0.075, 0.09], atol=1e-12)
+    turned = tuple(gates[i] for i in (1, 0, 2))  # in another order the second is not passed
+    if not by_target:
+        np.testing.assert_array_equal(passages(time, position, turned, cut=False)[:, 1], [0])
+
+
 def test_a_round_gate_has_no_corners():
     """0.64 m from the center is inside a square of 1 m and outside a circle of 0.5 m."""
     square = NORTH.replace(size=(1.0, 1.0))
