@@ -51,8 +51,9 @@ def fit_axes(samples: Samples, base: Constants) -> list[Estimate]:
 
 def with_estimates(base: Fitted, estimates: Sequence[Estimate]) -> Fitted:
     """The base vehicle's constants with the fitted ones replaced."""
+    known = values_of(base)
     fitted = {name: x for estimate in estimates for name, x in estimate.constants.items()}
-    return replaced(base, fitted)
+    return replaced(base, {name: x for name, x in fitted.items() if name in known})
 
 
 def nominal_error(samples: Samples, constants: Constants) -> np.ndarray:

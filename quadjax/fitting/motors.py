@@ -15,16 +15,31 @@ derivative is regressed on ``s(u) - y``. The steady value s(u) is
   ones; the scale of the speeds then has no effect, and ``w_max`` is that of the base vehicle.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from quadjax.fitting.axes import fit_axes
 from quadjax.fitting.formats import RPM
+from quadjax.fitting.lags import (
+    BETWEEN,
+    TAU,
+    Followed,
+    between_rows,
+    fit_lag,
+    followed,
+    never_follow,
+    partly,
+    problem_of,
+    slowest,
+    solve_changing,
+    solve_held,
+    solve_lag,
+)
 from quadjax.fitting.nominal import AXES, EQUATIONS
-from quadjax.fitting.regression import Estimate, Parameter, Problem, half_seconds, solve, unknown
+from quadjax.fitting.regression import Estimate, Parameter, half_seconds, unknown
 from quadjax.fitting.samples import CUTOFF, filtered_regressors, prepare
 from quadjax.fitting.signals import derivative, first_order, low_pass
 from quadjax.flights.flight import MOTORS, Flight, Signal
@@ -32,88 +47,12 @@ from quadjax.vehicle.battery import BatteryConfig
 from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.rate import RateConstants
 
-TAU = (0.002, 0.5, 0.05)  # s: lowest, highest and typical time constant
 MAP = ("tau", "w_min", "w_max", "k")
 LEAST_GAIN = 0.02  # relative decrease of the error, below which there is no limit
 LEAST_USED = 20.0  # s of hover in the longest flight, below which the drain is not fitted
 LEAST_EXPLAINED = 0.2  # R^2 of a lag of the inner loop that is used
 EXPLAINED = 0.9  # R^2 of the motor map below which there is a warning
 LEAST_RATE = 60.0  # Hz, of the samples compared without measured speeds
-LEAST_CHANGE = {  # of commands, by their name in messages
-    "commanded propeller speeds": 20.0,
-    "motor commands": 0.01,
-    "commanded body rates": 0.05,
-    "commanded thrust": 0.2,
-}
-
-
-class Followed(NamedTuple):
-    """Signals that follow commands, in some rows of one flight."""
-
-    measured: np.ndarray  # (n, k)
-    command: np.ndarray  # (n, k)
-    rate: float  # Hz
-    starts: np.ndarray  # rows at which a contiguous part begins
-    time: np.ndarray  # (n,) s since the first
-    load: np.ndarray  # (n,) power over that of hover; of propeller speeds only
-    used: np.ndarray  # (n,) s of hover since the start of the flight
-
-    def simulated(self, tau: float, steady: np.ndarray) -> np.ndarray:
-        """Signals (n, k) with steady values (n, k), each held until the next sample."""
-        parts = (np.split(values, self.starts[1:]) for values in (self.measured, steady))
-        pieces = zip(*parts, strict=True)
-        return np.concatenate([first_order(u, y[0], tau, 1.0 / self.rate) for y, u in pieces])
-
-    def limited(self, first: float, sag: float, drain: float) -> np.ndarray:
-        """Commands (n, 4), rpm, under the limit ``first - sag load - drain used``."""
-        return np.minimum(self.command, (first - sag * self.load - drain * self.used)[:, None])
-
-
-def _followed(
-    log: Flight, rows: np.ndarray, measured: str, command: str, hover: float | None = None
-) -> Followed:
-    """Some rows (n,) bool of signals and their commands; load and use with a hover, rpm."""
-    index = np.flatnonzero(rows)
-    starts = np.flatnonzero(np.concatenate([[True], np.diff(index) > 1]))
-    load = np.zeros(len(rows)) if hover is None else ((log["actuators"] / hover) ** 3).mean(axis=1)
-    used, time = np.cumsum(load) / log.sample_rate, log.time[rows] - log.time[index[0]]
-    signals = log[measured][rows], log[command][rows], log.sample_rate
-    return Followed(*signals, starts, time, load[rows], used[rows])
-
-
-Steady = Callable[[np.ndarray, int, Followed], np.ndarray]  # of values, flight index and flight
-
-
-def _lag_problem(flights: Sequence[Followed], steady: Steady, **options: Any) -> Problem:
-    """A lag, the first of the values, behind steady values (n, k)."""
-
-    def model(values: np.ndarray) -> np.ndarray:
-        return np.concatenate(
-            [part.simulated(values[0], steady(values, i, part)) for i, part in enumerate(flights)]
-        )
-
-    measured = np.concatenate([part.measured for part in flights])
-    blocks = half_seconds([part.time for part in flights])
-    return Problem(measured=measured, blocks=blocks, model=model, **options)
-
-
-def _never_follow(commands: Sequence[np.ndarray], what: str) -> str:
-    """Why a lag behind commands (n, k) of some flights cannot be fitted; "" if it can."""
-    if not commands:
-        return f"the logs have no {what}"
-    change = max(float(np.ptp(command, axis=0).max()) for command in commands)
-    return f"the {what} never change" if change < LEAST_CHANGE[what] else ""
-
-
-def _fit_lag(
-    parts: Sequence[Followed], group: str, tau: Parameter, what: str, lowest: float = -np.inf
-) -> Estimate:
-    """Fit one time constant, s, over the flights that have commands."""
-    reason = _never_follow([part.command for part in parts], what)
-    if reason:
-        return unknown(group, {tau.name: tau.base}, reason)
-    options = {"group": group, "parameters": [tau], "least_explained": lowest}
-    return solve(_lag_problem(parts, lambda values, index, part: part.command, **options))
 
 
 @dataclass(frozen=True)
@@ -158,17 +97,17 @@ def fit_battery(
         flight has commanded speeds.
     """
     parts = {
-        log.name: _followed(log, used, "actuators", "command", hover)
+        log.name: followed(log, used, "actuators", "command", hover)
         for log, used in zip(logs, rows, strict=True)
         if "command" in log.signals and used.any()
     }
     flights = list(parts.values())
     first = Parameter("tau", tau, *TAU)
-    lag = _fit_lag(flights, "motors", first, "commanded propeller speeds")
+    lag = fit_lag(flights, "motors", first, "commanded propeller speeds")
     if not parts:
         return lag, None
     first = first._replace(base=lag.constants["tau"])
-    limit = _fit_limit(parts, first, base)
+    limit = _fit_limit(parts, first, base, BETWEEN in lag.constants)
     if not limit.rmse < (1.0 - LEAST_GAIN) * lag.rmse:
         return lag, BatteryFit(first.base, 0.0, 0.0, rmse=lag.rmse, converged=lag.converged)
     values = limit.constants
@@ -180,7 +119,10 @@ def fit_battery(
     return replace(limit, constants=of_drone), BatteryFit(*fitted)
 
 
-def _fit_limit(parts: dict[str, Followed], tau: Parameter, base: BatteryConfig) -> Estimate:
+def _fit_limit(
+    parts: dict[str, Followed], tau: Parameter, base: BatteryConfig, changing: bool
+) -> Estimate:
+    """The lag under a limit; ``changing`` whether commands change between rows."""
     assert base.rpm_full is not None
     flights = list(parts.values())
     sag = base.rpm_full * base.resistance * base.hover_current / base.voltage
@@ -190,9 +132,13 @@ def _fit_limit(parts: dict[str, Followed], tau: Parameter, base: BatteryConfig) 
         Parameter(name, np.percentile(p.measured, 99.0) + 100.0 * np.median(p.load), 0.0, size=1e3)
         for name, p in parts.items()
     ]
-    problem = _lag_problem(
+    limited = problem_of(
         flights,
         lambda values, index, part: part.limited(values[3 + index], values[1], values[2]),
+    )
+    solver = solve_changing if changing else solve_held
+    return solver(
+        **limited,
         group="motors",
         parameters=[
             tau,
@@ -201,7 +147,6 @@ def _fit_limit(parts: dict[str, Followed], tau: Parameter, base: BatteryConfig) 
             *starts,
         ],
     )
-    return solve(problem)
 
 
 def fit_rate_model(
@@ -223,11 +168,11 @@ def fit_rate_model(
     ]
     if not pairs:
         return []
-    rates = [_followed(log, used, "rates", "rate_command") for log, used in pairs]
-    forces = [_followed(log, used, "specific_force", "thrust_command") for log, used in pairs]
+    rates = [followed(log, used, "rates", "rate_command") for log, used in pairs]
+    forces = [followed(log, used, "specific_force", "thrust_command") for log, used in pairs]
     thrusts = [part._replace(measured=-part.measured[:, 2:]) for part in forces]
     lags = [
-        _fit_lag(
+        fit_lag(
             parts, name, Parameter(name, float(getattr(base, name)), *TAU), what, LEAST_EXPLAINED
         )
         for name, parts, what in (
@@ -246,15 +191,20 @@ def steady_speeds(values: np.ndarray, command: np.ndarray) -> np.ndarray:
     return low + (high - low) * np.sqrt(k * u * u + (1.0 - k) * u)
 
 
-def with_simulated_speeds(log: Flight, values: np.ndarray) -> Flight:
+def with_simulated_speeds(log: Flight, values: np.ndarray, between: float = 0.0) -> Flight:
     """A log with the speeds that its motor commands give; unchanged where they are measured.
 
-    The speeds at its start are not known; see ``settled``.
+    The speeds at its start are not known; see ``settled``. ``between`` is the part of the commands'
+    change between two rows (``quadjax.fitting.lags``).
     """
     if "actuators" in log.signals:
         return log
-    steady = RPM * steady_speeds(values, log["motor_command"])
-    rpm = first_order(steady, steady[0], values[0], 1.0 / log.sample_rate)
+    command = log["motor_command"]
+    start = RPM * steady_speeds(values, command[0])
+    if between:
+        command = partly(command, between_rows(command), between)
+    steady = RPM * steady_speeds(values, command)
+    rpm = first_order(steady, start, values[0], 1.0 / log.sample_rate)
     return log.replace(signals=log.signals | {"actuators": Signal(rpm, "rpm", MOTORS)})
 
 
@@ -269,15 +219,15 @@ def fit_motors(
     pairs = zip(logs, rows, strict=True)
     flights = [(log, used) for log, used in pairs if "motor_command" in log.signals and used.any()]
     commands = [log["motor_command"][used] for log, used in flights]
-    reason = _never_follow(commands, "motor commands")
+    reason = never_follow(commands, "motor commands")
     if reason:
         return unknown("motors", values, reason)
-    followed = [
-        _followed(log, used, "actuators", "motor_command")
+    signals = [
+        followed(log, used, "actuators", "motor_command")
         for log, used in flights
         if "actuators" in log.signals
     ]
-    measured = [part._replace(measured=part.measured / RPM) for part in followed]
+    measured = [part._replace(measured=part.measured / RPM) for part in signals]
     if measured:
         high = max(*(float(part.measured.max()) for part in measured), values["w_max"])
         limits = {"w_min": (0.0, 0.9 * high), "w_max": (0.1 * high, 10.0 * high)}
@@ -294,11 +244,10 @@ def fit_motors(
         ],
     }
     if measured:
-        estimate = solve(
-            _lag_problem(measured, lambda at, i, part: steady_speeds(at, part.command), **options)
-        )
+        problem = problem_of(measured, lambda at, i, part: steady_speeds(at, part.command))
+        estimate = solve_lag(rate=slowest(measured), **problem, **options)
     else:
-        estimate = solve(_unmeasured(flights, base, options))
+        estimate = _fit_unmeasured(flights, base, options)
     if estimate.r_squared >= EXPLAINED:
         return estimate
     line = (
@@ -308,10 +257,10 @@ def fit_motors(
     return replace(estimate, warnings=(*estimate.warnings, line))
 
 
-def _unmeasured(
+def _fit_unmeasured(
     flights: Sequence[tuple[Flight, np.ndarray]], base: RacingConstants, options: dict[str, Any]
-) -> Problem:
-    """Forces and moments with the best constants of the rotors for motors of some values."""
+) -> Estimate:
+    """The motors by the forces and moments with the best constants of the rotors for them."""
     rows = [
         np.flatnonzero(used)[:: max(1, int(log.sample_rate / LEAST_RATE))] for log, used in flights
     ]
@@ -323,9 +272,10 @@ def _unmeasured(
     measured = np.concatenate(signals)
     measured = measured / measured.std(axis=0)
 
-    def model(values: np.ndarray) -> np.ndarray:
+    def model(values: np.ndarray, between: float) -> np.ndarray:
         parts = [
-            filtered_regressors(with_simulated_speeds(log, values), base) for log, _ in flights
+            filtered_regressors(with_simulated_speeds(log, values, between), base)
+            for log, _ in flights
         ]
         modeled = np.empty_like(measured)
         for i, axis in enumerate(AXES[2:]):
@@ -337,4 +287,5 @@ def _unmeasured(
 
     pairs = zip(flights, rows, strict=True)
     blocks = half_seconds([log.time[index] - log.time[0] for (log, _), index in pairs])
-    return Problem(measured=measured, blocks=blocks, model=model, **options)
+    rate = min(log.sample_rate for log, _ in flights)
+    return solve_lag(model, rate, measured=measured, blocks=blocks, **options)

@@ -9,7 +9,9 @@ import numpy as np
 from quadjax.fitting.axes import fit_axes, nominal_error, with_common, with_estimates
 from quadjax.fitting.config import FitConfig, check_keys
 from quadjax.fitting.flight_log import highest_speed
+from quadjax.fitting.lags import BETWEEN
 from quadjax.fitting.motors import (
+    MAP,
     BatteryFit,
     fit_battery,
     fit_motors,
@@ -81,8 +83,10 @@ class NominalFits:
         base, motors, logs = self.base, [], self.logs
         if self.model == "racing":
             motors = [fit_motors(logs, self._masks(folds), base)]
-            values = np.array(list(motors[0].constants.values()))
-            logs = [with_simulated_speeds(log, values) for log in logs]
+            of_motors = motors[0].constants
+            values = np.array([of_motors[name] for name in MAP])
+            between = of_motors.get(BETWEEN, 0.0)
+            logs = [with_simulated_speeds(log, values, between) for log in logs]
         samples = self._measured
         if samples is None:
             samples = prepare(logs, base, self.rows)

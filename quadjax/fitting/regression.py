@@ -25,6 +25,7 @@ NEGATED = 3.0  # standard errors below zero, from which on a column of the log m
 CONDITION = 1e6  # condition number (of columns of unit size) above which they are collinear
 LITTLE_EXPLAINED = 0.1  # R^2 below which there is a warning
 LARGEST_CORRECTION = 0.1  # of the signal, by the noise in a regressor
+UNCERTAIN = 0.05  # relative standard error above which a parameter has a warning
 AT_LIMIT = 0.01  # relative distance to a limit of the search
 MAX_STEPS = 40  # of the solver
 
@@ -79,7 +80,7 @@ class Problem:
     noise: np.ndarray | None = None  # (n, k) change of the columns by added noise; see ``prepare``
     # parameters (k,) -> what they give, of the shape of the signal
     model: Callable[[np.ndarray], np.ndarray] | None = None
-    uncertain: float = 0.05  # relative standard error above which a parameter has a warning
+    uncertain: float = UNCERTAIN  # relative standard error above which a parameter has a warning
     least_explained: float = -np.inf  # R^2 below which all parameters keep their base values
 
     def modeled(self, values: np.ndarray) -> np.ndarray:
@@ -198,7 +199,7 @@ def _solution(
     scores -= scores.mean(axis=0)  # the correction for noise shifts their mean
     freedom = count / max(1, count - len(scaled))
     covariance = freedom * bread @ (scores.T @ scores) @ bread
-    errors[free] = np.sqrt(np.diag(covariance)) * unit
+    errors[free] = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * unit  # of rounding errors
     return values, errors, jacobian, converged
 
 

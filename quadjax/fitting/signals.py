@@ -71,9 +71,13 @@ def noise_level(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.nda
 def first_order(command: np.ndarray, start: np.ndarray, tau: float, dt: float) -> np.ndarray:
     """Response (n, k) of a first-order lag, of tau s, to commands (n, k) held for dt s each.
 
-    ``start`` (k,) is the response at the first sample.
+    Commands (2, n, k) are those at the two times of Gauss's quadrature of each sample. ``start``
+    (k,) is the response at the first sample.
     """
     kept = np.exp(-dt / tau)
+    if command.ndim > 2:
+        share = kept ** np.sqrt(1.0 / 3.0)  # of the earlier time over the later one
+        command = (share * command[0] + command[1]) / (1.0 + share)
     start = np.asarray(start, np.float64)[None]
     tail, _ = lfilter([1.0 - kept], [1.0, -kept], command[:-1], axis=0, zi=kept * start)
     return np.concatenate([start, tail])

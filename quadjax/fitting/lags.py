@@ -1,0 +1,186 @@
+"""A first-order lag of signals behind their commands, in rows of flights.
+
+A control loop holds each command until its next step. A log that has a row for each step shows all
+of them: each command is held until the next row. A slower log lacks the commands between its rows,
+and commands that were held until the next row would be late by up to half a sample, by which the
+fitted lag would be too short. There the commands change from row to row as a cubic spline, in the
+part ``BETWEEN`` that explains the signals best: ``1 - 1/k`` where every k-th step is logged.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from quadjax.fitting.regression import (
+    UNCERTAIN,
+    Estimate,
+    Parameter,
+    Problem,
+    half_seconds,
+    solve,
+    unknown,
+)
+from quadjax.fitting.signals import first_order
+from quadjax.flights.flight import Flight
+
+TAU = (0.002, 0.5, 0.05)  # s: lowest, highest and typical time constant
+BETWEEN = "between"  # part of the commands' change between two rows, from 0 (held) to 1
+CLEARLY = 3.0  # standard errors above zero, from which on commands change between the rows
+NODES = np.array([0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)])  # of Gauss, in a sample
+LEAST_CHANGE = {  # of commands, by their name in messages
+    "commanded propeller speeds": 20.0,
+    "motor commands": 0.01,
+    "commanded body rates": 0.05,
+    "commanded thrust": 0.2,
+}
+
+Steady = Callable[[np.ndarray, int, "Followed"], np.ndarray]  # of values, flight index and flight
+Model = Callable[[np.ndarray, float], np.ndarray]  # of values and the part ``BETWEEN``
+
+
+class Followed(NamedTuple):
+    """Signals that follow commands, in some rows of one flight."""
+
+    measured: np.ndarray  # (n, k)
+    command: np.ndarray  # (n, k), or (2, n, k) at the times ``NODES`` of each sample
+    between: np.ndarray  # (2, n, k) the same as a cubic spline
+    rate: float  # Hz
+    starts: np.ndarray  # rows at which a contiguous part begins
+    time: np.ndarray  # (n,) s since the first
+    load: np.ndarray  # (n,) power over that of hover; of propeller speeds only
+    used: np.ndarray  # (n,) s of hover since the start of the flight
+
+    def changing(self, part: float) -> "Followed":
+        """The same with commands that change between the rows by a part, from 0 to 1."""
+        if part == 0.0:
+            return self
+        return self._replace(command=partly(self.command, self.between, part))
+
+    def simulated(self, tau: float, steady: np.ndarray) -> np.ndarray:
+        """Signals (n, k) with the steady values of the commands, of their shape."""
+        edges = [*self.starts.tolist(), len(self.measured)]
+        pieces = (slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True))
+        return np.concatenate(
+            [
+                first_order(steady[..., rows, :], self.measured[rows][0], tau, 1.0 / self.rate)
+                for rows in pieces
+            ]
+        )
+
+    def limited(self, first: float, sag: float, drain: float) -> np.ndarray:
+        """Commands, rpm, under the limit ``first - sag load - drain used``."""
+        return np.minimum(self.command, (first - sag * self.load - drain * self.used)[:, None])
+
+
+def partly(command: np.ndarray, between: np.ndarray, part: float) -> np.ndarray:
+    """Commands (2, n, k) of which a part changes between the rows, and the rest is held."""
+    return command + part * (between - command)
+
+
+def between_rows(command: np.ndarray) -> np.ndarray:
+    """Commands (2, n, k) at ``NODES`` of each sample, as a cubic spline; the last one is held."""
+    rows = np.arange(len(command))
+    at = np.minimum(rows + NODES[:, None], rows[-1])
+    # A spline beyond the limits of the commands is not one of a motor.
+    return np.clip(CubicSpline(rows, command)(at), command.min(axis=0), command.max(axis=0))
+
+
+def followed(
+    log: Flight, rows: np.ndarray, measured: str, command: str, hover: float | None = None
+) -> Followed:
+    """Some rows (n,) bool of signals and their commands; load and use with a hover, rpm."""
+    index = np.flatnonzero(rows)
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(index) > 1]))
+    load = np.zeros(len(rows)) if hover is None else ((log["actuators"] / hover) ** 3).mean(axis=1)
+    used, time = np.cumsum(load) / log.sample_rate, log.time[rows] - log.time[index[0]]
+    commands = log[command][rows], between_rows(log[command])[:, rows]
+    return Followed(
+        log[measured][rows], *commands, log.sample_rate, starts, time, load[rows], used[rows]
+    )
+
+
+def never_follow(commands: Sequence[np.ndarray], what: str) -> str:
+    """Why a lag behind commands (n, k) of some flights cannot be fitted; "" if it can."""
+    if not commands:
+        return f"the logs have no {what}"
+    change = max(float(np.ptp(command, axis=0).max()) for command in commands)
+    return f"the {what} never change" if change < LEAST_CHANGE[what] else ""
+
+
+def solve_lag(
+    model: Model, rate: float, parameters: Sequence[Parameter], **options: Any
+) -> Estimate:
+    """A lag, with commands that are held or, where the logs clearly show it, change between rows.
+
+    Args:
+        model: of the values of the parameters, of which a lag is the first, and ``BETWEEN``.
+        rate: Hz, of the slowest log.
+        parameters: of the model.
+        options: of the ``Problem``.
+
+    Returns:
+        The estimate; ``BETWEEN`` is among its constants where the commands change between rows.
+    """
+    held = solve_held(model, parameters, **options)
+    changing = solve_changing(model, parameters, **options)
+    part, error = changing.constants[BETWEEN], changing.errors[BETWEEN]
+    if np.isfinite(error) and part > CLEARLY * error:
+        return changing
+    name, period = parameters[0].name, 1.0 / rate
+    late = 0.5 * period * (min(part + 2.0 * error, 1.0) if np.isfinite(error) else 1.0)
+    allowed = options.get("uncertain", UNCERTAIN) * held.constants[name]
+    if not np.isfinite(held.errors[name]) or late <= allowed:
+        return held
+    line = (
+        f"{name} ({held.group}) may be up to {late:.2g} s too short: the logs have a row every "
+        f"{period:.2g} s and do not show whether commands change between rows; log faster"
+    )
+    return replace(held, warnings=(*held.warnings, line))
+
+
+def solve_held(model: Model, parameters: Sequence[Parameter], **options: Any) -> Estimate:
+    """A lag behind commands that are held until the next row; arguments as ``solve_lag``."""
+    return solve(Problem(model=lambda at: model(at, 0.0), parameters=parameters, **options))
+
+
+def solve_changing(model: Model, parameters: Sequence[Parameter], **options: Any) -> Estimate:
+    """A lag behind commands that change between the rows; arguments as ``solve_lag``."""
+    between = Parameter(BETWEEN, 0.5, 0.0, 1.0, physical=True)
+    with_it = [*parameters, between]
+    fit = solve(Problem(model=lambda at: model(at[:-1], at[-1]), parameters=with_it, **options))
+    lines = (line for line in fit.warnings if not line.startswith(f"{BETWEEN} ("))
+    return replace(fit, warnings=tuple(lines))
+
+
+def problem_of(flights: Sequence[Followed], steady: Steady) -> dict[str, Any]:
+    """Arguments of ``solve_lag``: a lag, the first of the values, behind steady values (n, k)."""
+
+    def model(values: np.ndarray, between: float) -> np.ndarray:
+        parts = [part.changing(between) for part in flights]
+        return np.concatenate(
+            [part.simulated(values[0], steady(values, i, part)) for i, part in enumerate(parts)]
+        )
+
+    measured = np.concatenate([part.measured for part in flights])
+    blocks = half_seconds([part.time for part in flights])
+    return {"model": model, "measured": measured, "blocks": blocks}
+
+
+def slowest(flights: Sequence[Followed]) -> float:
+    """The lowest rate of some flights, Hz."""
+    return min(part.rate for part in flights)
+
+
+def fit_lag(
+    parts: Sequence[Followed], group: str, tau: Parameter, what: str, lowest: float = -np.inf
+) -> Estimate:
+    """Fit one time constant, s, over the flights that have commands."""
+    reason = never_follow([part.command for part in parts], what)
+    if reason:
+        return unknown(group, {tau.name: tau.base}, reason)
+    problem = problem_of(parts, lambda values, index, part: part.command)
+    options = {"group": group, "parameters": [tau], "least_explained": lowest}
+    return solve_lag(rate=slowest(parts), **problem, **options)
