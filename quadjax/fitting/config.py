@@ -76,7 +76,9 @@ class LogsConfig(Section):
     motor_range: Annotated[tuple[MotorCommand, MotorCommand], RISING] | None = Field(
         None, description="motor commands that are 0 and 1; null: the log's or the format's"
     )
-    max_gap: Positive = Field(0.05, description="s, longest allowed gap between samples")
+    max_gap: Positive = Field(
+        0.05, description="s, longest allowed gap between samples, not fitted"
+    )
     min_seconds: float = Field(2.0, ge=0.5, le=3600, description="s, shortest allowed flight")
     max_scale_error: float = Field(
         0.25, gt=0.0, le=1e6, description="largest allowed error of a column's scale"

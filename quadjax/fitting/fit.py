@@ -207,6 +207,11 @@ def _warnings(
     for log in logs:
         if row := log.source["cut_row"]:
             yield (f"{log.name}: row {row} is left out: no line break ends it, so it may be cut")
+        if gaps := log.source["gaps"]:
+            yield (
+                f"{log.name}: {len(gaps)} of the steps between samples are gaps of up to "
+                f"{max(gaps):.3g} s: the samples in and next to them are not fitted"
+            )
         if names := ", ".join(log.source["unchecked"]):
             yield (
                 f"{log.name}: not checked for lack of motion or of columns to compare with: {names}"

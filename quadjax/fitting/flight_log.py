@@ -136,8 +136,8 @@ def read_log(path: Path | str, config: LogsConfig) -> Flight:
 
     Returns:
         The flight, evenly sampled; see ``log_flight``. Its ``source`` has "path"; "unchecked", the
-        columns without evidence of sign and order; and "cut_row", the row that is left out, or
-        None.
+        columns without evidence of sign and order; "cut_row", the row that is left out, or None;
+        and "gaps", the lengths, s, of those between samples that are not in flight therefore.
 
     Raises:
         InputError: a missing column, a cell that is no finite number, a time that does not increase
@@ -178,12 +178,13 @@ def _flight(table: LogTable, config: LogsConfig) -> Flight:
     if frames[1] == "ENU":  # the names in the order of north, east, down
         world = [name for name in names if QUANTITIES[name].frame == "world"]
         names = names | {name: [names[name][i] for i in (1, 0, 2)] for name in world}
-    even, flying = evenly(standard)
+    even, flying, gaps = evenly(standard)
     even["acceleration"] = even["acceleration"] - even.pop("acceleration_bias", 0.0)
     rate = (len(flying) - 1) / float(even["time"][-1] - even["time"][0])
     unchecked = check_consistency(path, names, even, rate, flying, frames, config)
     even["flying"] = flying
-    return log_flight(path, even, unchecked=unchecked, cut_row=table.cut_row)
+    facts = {"unchecked": unchecked, "cut_row": table.cut_row, "gaps": gaps.tolist()}
+    return log_flight(path, even, **facts)
 
 
 def highest_speed(logs: Sequence[Flight]) -> float:

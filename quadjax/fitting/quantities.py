@@ -22,6 +22,10 @@ from quadjax.fitting.formats import (
 )
 from quadjax.fitting.log_table import LogTable, continuous, interpolated
 
+BRIDGED = 0.02  # s, of gaps in which a straight line takes the place of the signals
+GUARD = 0.1  # s next to a gap, within the filters' reach
+SETTLING = 0.5  # s, until unknown propeller speeds have no effect
+
 
 def called(function: Callable, path: Path | str, *arguments: object) -> Any:
     """What a user's function returns; its errors as one line."""
@@ -167,21 +171,31 @@ def to_standard_frames(
     return result, (body, world)
 
 
-def evenly(quantities: Quantities) -> tuple[Quantities, np.ndarray]:
-    """Quantities at evenly spaced times, and whether in flight; commands by their last value."""
+def evenly(quantities: Quantities) -> tuple[Quantities, np.ndarray, np.ndarray]:
+    """Quantities at evenly spaced times; commands by their last value.
+
+    Returns:
+        The quantities; the samples (n,) bool in flight, without those in and next to a gap, where
+        filtered signals are not those of the drone; and the lengths of the gaps, s.
+    """
     time, steps = quantities["time"], np.diff(quantities["time"])
     count, usual = len(time), np.median(steps)
     if np.ptp(steps) > 0.01 * usual:
         count = int(round((time[-1] - time[0]) / usual)) + 1
     even = np.linspace(time[0], time[-1], count)
-    nearest = np.clip(np.searchsorted(time, even - 0.5 * usual), 0, len(time) - 1)
+    last = np.searchsorted(time, even + 0.5 * usual, side="right") - 1
     result = {"time": even}
     for name in quantities.keys() - {"time", "mode"}:
         values = quantities[name]
         if name in COMMANDS:
-            result[name] = values[nearest]
+            result[name] = values[last]
         else:
             values = np.unwrap(values, axis=0) if name == "euler" else values
             result[name] = interpolated(even, time, values)
     mode = quantities.get("mode")
-    return result, np.ones(count, bool) if mode is None else mode[nearest] > 0
+    flying = np.ones(count, bool) if mode is None else mode[last] > 0
+    after = SETTLING if "rpm" not in quantities else GUARD
+    gaps = np.flatnonzero(steps > max(BRIDGED, 2.5 * usual))
+    for gap in gaps:
+        flying &= (even < time[gap] - GUARD) | (even > time[gap + 1] + after)
+    return result, flying, steps[gaps]

@@ -24,18 +24,17 @@ from quadjax.core.errors import InputError
 from quadjax.fitting.config import SplitConfig
 from quadjax.fitting.motor_evidence import typical_speeds
 from quadjax.fitting.nominal import Constants, ModelInputs, angular_moment, regressors
+from quadjax.fitting.quantities import GUARD, SETTLING
 from quadjax.fitting.signals import Rows, concatenated, derivative, low_pass, noise_level
 from quadjax.flights.flight import Flight
 
 CUTOFF = 16.0  # Hz
 AIRBORNE = 0.5  # of the flight's median rpm, below which it is on the ground
 PAUSE = 1.0  # s below it that count as a landing
-SETTLING = 0.5  # s, until unknown propeller speeds of the start have no effect
 
 Folds = frozenset[int]  # the folds that a fit uses
 TEST = -1
 NOWHERE = -2  # unused rows next to test rows, within the filter's reach
-GUARD = 0.1  # s
 BLOCKS = 4  # of a flight's time, at most
 
 
@@ -81,8 +80,9 @@ def airborne(log: Flight, min_seconds: float = 0.0) -> np.ndarray:
         if at_an_end or stop - start > PAUSE * log.sample_rate:
             mask[start:stop] = False
     if mask.sum() < min_seconds * log.sample_rate:
+        whole = " without gaps" if log.source.get("gaps") else ""
         raise InputError(
-            f"{path}: {mask.sum() / log.sample_rate:.3g} s of flight, expected at least "
+            f"{path}: {mask.sum() / log.sample_rate:.3g} s of flight{whole}, expected at least "
             f"{min_seconds:g} s (logs.min_seconds)"
         )
     return mask

@@ -4,8 +4,13 @@ from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
 from quadjax.fitting import log_table
+from quadjax.fitting.axes import fit_axes
 from quadjax.fitting.config import LogsConfig, UnitsConfig
 from quadjax.fitting.flight_log import log_of_columns, read_log, read_logs, write_log
+from quadjax.fitting.motors import fit_battery
+from quadjax.fitting.quantities import evenly
+from quadjax.fitting.samples import airborne, prepare
+from quadjax.vehicle.battery import BatteryConfig
 
 from .conftest import refused
 from .flights import first_seconds, simulated
@@ -183,3 +188,56 @@ def test_uneven_sampling_is_made_even(tmp_path, columns):
     log = read_log(_write(tmp_path, noisy | swing), PAPARAZZI)
     assert np.ptp(np.diff(log.time)) < 1e-9
     np.testing.assert_allclose(log["body_velocity"][:, 0], np.sin(3.0 * log.time), atol=1e-4)
+
+
+def test_commands_in_a_gap_are_the_last_ones():
+    """Motion is interpolated; a command that comes later is not known yet."""
+    time = np.array([0.0, 0.01, 0.02, 0.06, 0.07])
+    even, flying, _ = evenly({"time": time, "rpm_command": time[:, None], "gyro": time[:, None]})
+    np.testing.assert_allclose(even["time"], 0.01 * np.arange(8))
+    held = [0.0, 0.01, 0.02, 0.02, 0.02, 0.02, 0.06, 0.07]
+    np.testing.assert_allclose(even["rpm_command"][:, 0], held)
+    np.testing.assert_allclose(even["gyro"], even["time"][:, None])
+    assert not flying.any()
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_no_sample_in_or_next_to_a_bridged_gap_is_in_flight(measured, columns):
+    """The next ones are later where rotor speeds have to be simulated from the commands."""
+    time = columns["time"]
+    kept = (time < 1.5) | (time > 2.0)
+    lost = {name: values[kept] for name, values in columns.items()}
+    config = PAPARAZZI
+    if not measured:
+        motors = {f"u{i}": lost[f"rpm_ref_{i}"] / 12000.0 for i in range(1, 5)}
+        names = {"rpm": [], "rpm_command": [], "motor_command": list(motors)}
+        lost, config = lost | motors, config.replace(columns=names)
+    with pytest.raises(InputError, match="a gap of 0.508 s .*logs.max_gap"):
+        log_of_columns(lost, config, "flight")
+    log = log_of_columns(lost, config.replace(max_gap=1.0), "flight")
+    assert log.source["gaps"] == pytest.approx([0.508])
+    after = 2.5 if not measured else 2.1
+    left = log.time[~log.flying]
+    assert abs(left[0] - 1.4) < 0.01 and abs(left[-1] - after) < 0.01
+    assert np.ptp(np.diff(left)) < 1e-9
+
+
+def test_constants_do_not_depend_on_a_bridged_gap(bebop):
+    """Of a flight that lacks 1 s: those of the whole flight, within 2 standard errors."""
+    columns = simulated(1)
+    part = (columns["time"] < 3.0) | (columns["time"] > 4.0)
+    logs = [
+        log_of_columns(part, PAPARAZZI.replace(max_gap=2.0), "flight")
+        for part in (columns, {name: values[part] for name, values in columns.items()})
+    ]
+    whole, bridged = (fit_axes(prepare([log], bebop, [airborne(log)]), bebop) for log in logs)
+    for first, second in zip(whole, bridged, strict=True):
+        for name, error in second.errors.items():
+            change = second.constants[name] - first.constants[name]
+            assert np.isinf(error) or abs(change) < 2.0 * error, name
+    lags = [
+        fit_battery([log], 7500.0, BatteryConfig().filled(11000.0), [airborne(log)], 0.1)[0]
+        for log in logs
+    ]
+    taus = [lag.constants["tau"] for lag in lags]
+    assert abs(taus[1] - taus[0]) < 2.0 * lags[1].errors["tau"]
