@@ -1,6 +1,6 @@
 """A complete fit: logs in; constants, residual networks and errors on held-out flights out."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +13,9 @@ from quadjax.fitting.axes import Prediction
 from quadjax.fitting.config import FitConfig, with_body
 from quadjax.fitting.flight_log import read_logs
 from quadjax.fitting.motors import BatteryFit
-from quadjax.fitting.nominal import Constants, units
+from quadjax.fitting.nominal import AXES, Constants, units
 from quadjax.fitting.nominal_fit import NominalFits
-from quadjax.fitting.regression import Estimate, check_signs
+from quadjax.fitting.regression import Estimate, check_signs, r_squared
 from quadjax.fitting.residual import ResidualFit, ResidualFits, zero_residual
 from quadjax.fitting.samples import Folds, Samples, Split
 from quadjax.flights.flight import Flight
@@ -114,6 +114,7 @@ def fit(config: FitConfig, folder: Path = Path(), report: Report = lambda line: 
     tests = split.tests(fitted.samples.flight, [log.name for log in logs])
     lags, limit = nominal.lags()
     estimates, kept = [*nominal.estimates(split.all), *lags], nominal.kept(split.all)
+    training = fitted.predict("training", split.rows(split.all))
     return Fit(
         config=config,
         logs=logs,
@@ -123,11 +124,15 @@ def fit(config: FitConfig, folder: Path = Path(), report: Report = lambda line: 
         estimates=estimates,
         fitted=fitted,
         without=without,
-        training=fitted.predict("training", split.rows(split.all)),
+        training=training,
         held_out=[*held_out, *(fitted.predict(name, rows) for name, rows in tests)],
         kept=kept,
         battery=limit,
-        warnings=[*_warnings(config, logs, estimates), *kept.values()],
+        warnings=[
+            *_warnings(config, logs, estimates),
+            *kept.values(),
+            *_unexplained(training, nominal.fitted_axes(split.all)),
+        ],
     )
 
 
@@ -191,6 +196,14 @@ def check_speeds(config: FitConfig, logs: Sequence[Flight], model: str) -> None:
                 f"{path}: speeds of up to {fastest:.5g} rpm, those of the vehicle are {low:g} to "
                 f"{high:g} (body.rpm_range); is it this drone? is logs.units.rpm right?"
             )
+
+
+def _unexplained(training: Prediction, fitted: Set[str]) -> Iterator[str]:
+    """Axes whose constants are not fitted, and are worse than none."""
+    explained = r_squared(training.measured, training.nominal)
+    for axis, value in zip(AXES, explained, strict=True):
+        if axis not in fitted and value < 0.0:
+            yield f"{axis}: R^2 is {value:.3g} with the base vehicle's constants, which are kept"
 
 
 def _warnings(

@@ -1,6 +1,6 @@
 """The constants of a model, fitted to some folds of the rows of flights."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import replace
 from typing import Any
 
@@ -127,6 +127,12 @@ class NominalFits:
         of_axis, base = EQUATIONS[type(self.base)].constants, values_of(self.base)
         names = [name for axis in self.kept(folds) for name in of_axis[axis]]
         return replaced(self._fitted(folds), {name: base[name] for name in names})
+
+    def fitted_axes(self, folds: Folds) -> Set[str]:
+        """The axes whose constants are those fitted to some folds."""
+        if not self.config.nominal.fit:
+            return frozenset()
+        return frozenset(self.config.nominal.axes) - self.kept(folds).keys()
 
     def lags(self) -> tuple[list[Estimate], BatteryFit | None]:
         """The motors' lag with the battery's limit, and the rate-and-thrust model."""

@@ -7,7 +7,9 @@ the covariance (Liang and Zeger, 1986).
 A parameter without evidence keeps its value of the base vehicle, and the others are fitted again:
 one that the logs do not determine (a column that is zero or a combination of others), one that
 cannot be below zero and is not ``SIGNIFICANT`` standard errors above it, and one at a limit of the
-search. All of a problem keep it that explain too little of the signal.
+search. All of a problem keep it that explain too little of the signal. A base value that is more
+than ``EXCLUDED`` standard errors from the estimate is not kept: the estimate is used, or zero if it
+is below.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,6 +23,7 @@ from quadjax.core.errors import InputError
 
 BLOCK = 0.5  # s
 SIGNIFICANT = 2.0  # standard errors above zero
+EXCLUDED = 3.0  # standard errors between an estimate and a base value that the logs exclude
 NEGATED = 3.0  # standard errors below zero, from which on a column of the log must be wrong
 CONDITION = 1e6  # condition number (of columns of unit size) above which they are collinear
 LITTLE_EXPLAINED = 0.1  # R^2 below which there is a warning
@@ -96,6 +99,7 @@ def solve(problem: Problem) -> Estimate:
     base = np.array([parameter.base for parameter in problem.parameters])
     free, names = _determined(problem), [parameter.name for parameter in problem.parameters]
     reasons = dict.fromkeys(np.flatnonzero(~free).tolist(), "the logs do not determine it")
+    zero: dict[int, float] = {}  # standard errors of those that are zero in place of below
     while True:
         values, errors, jacobian, converged = _solution(problem, base, free)
         doubtful = _without_evidence(problem, values, errors)
@@ -103,13 +107,18 @@ def solve(problem: Problem) -> Estimate:
             break
         reasons |= doubtful
         free[list(doubtful)] = False
+        below = _excluded(problem, values, errors) & (values < 0.0)
+        zero |= {i: float(errors[i]) for i in doubtful if below[i]}
+        base[list(zero)] = 0.0
+    errors[list(zero)] = list(zero.values())
     square = (problem.measured - problem.modeled(values)) ** 2
     spread = float(((problem.measured - problem.measured.mean(axis=0)) ** 2).sum())
     explained = 1.0 - float(square.sum()) / spread if spread > 0.0 else 0.0
     if free.any() and explained < problem.least_explained:
         reason = f"it explains {max(explained, 0.0):.0%} of the signal in the logs"
         reasons |= dict.fromkeys(np.flatnonzero(free).tolist(), reason)
-        values, errors = base, np.full(len(base), np.inf)
+        values = np.array([parameter.base for parameter in problem.parameters])
+        errors = np.full(len(base), np.inf)
     condition = np.inf
     if jacobian is not None and free.all():
         size = np.sqrt((jacobian**2).mean(axis=0))
@@ -248,6 +257,7 @@ def _nonlinear(problem: Problem, base: np.ndarray, free: np.ndarray) -> _Minimum
 def _without_evidence(problem: Problem, values: np.ndarray, errors: np.ndarray) -> dict[int, str]:
     """Why fitted parameters have no evidence, by their index."""
     reasons, negated = {}, _negated(problem, values, errors)
+    excluded = _excluded(problem, values, errors)
     for i in np.flatnonzero(np.isfinite(errors)).tolist():
         parameter, size = problem.parameters[i], f"{values[i]:.2g} +- {errors[i]:.1g}"
         at_limit = np.isclose(values[i], (parameter.low, parameter.high), rtol=AT_LIMIT, atol=0.0)
@@ -257,9 +267,21 @@ def _without_evidence(problem: Problem, values: np.ndarray, errors: np.ndarray) 
             continue
         elif values[i] < 0.0:
             reasons[i] = f"{size} is impossible below 0"
-        elif values[i] < SIGNIFICANT * errors[i]:
+        elif values[i] < SIGNIFICANT * errors[i] and not excluded[i]:
             reasons[i] = f"{size} is not significantly above 0"
     return reasons
+
+
+def _excluded(problem: Problem, values: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Parameters (k,) bool whose base value is impossible by the logs.
+
+    One that may absorb what the model lacks, and is clearly below zero, does so, and says nothing
+    of its true value.
+    """
+    base = np.array([parameter.base for parameter in problem.parameters])
+    small = np.array([parameter.small for parameter in problem.parameters])
+    absorbing = small & (values < -NEGATED * errors)
+    return np.isfinite(errors) & (np.abs(base - values) > EXCLUDED * errors) & ~absorbing
 
 
 def _negated(problem: Problem, values: np.ndarray, errors: np.ndarray) -> np.ndarray:
@@ -276,14 +298,17 @@ def _warnings(
     explained: float,
 ) -> list[str]:
     labels = [f"{parameter.name} ({problem.group})" for parameter in problem.parameters]
-    lines = [
-        f"{labels[i]}: {reason}; the base vehicle's {problem.parameters[i].base:.4g} is kept"
-        for i, reason in reasons.items()
-    ]
+    lines = []
+    for i, reason in reasons.items():
+        kept = f"the base vehicle's {problem.parameters[i].base:.4g} is kept"
+        if np.isfinite(errors[i]):
+            kept = f"0 is used: the logs exclude {kept.removesuffix(' is kept')}"
+        lines.append(f"{labels[i]}: {reason}; {kept}")
     if explained < LITTLE_EXPLAINED:
         lines.append(f"{problem.group}: R^2 is {explained:.2f}: the model explains little")
     with np.errstate(invalid="ignore"):
         uncertain = np.isfinite(errors) & (errors > problem.uncertain * np.abs(values))
+        uncertain[list(reasons)] = False
     lines += [
         f"{labels[i]}: little excited by the logs, or the model does not fit them: "
         f"{values[i]:.4g} +- {100.0 * errors[i] / max(abs(values[i]), 1e-300):.0f}%"

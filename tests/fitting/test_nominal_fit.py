@@ -54,6 +54,33 @@ def test_a_constant_of_an_impossible_sign_keeps_its_value_and_the_others_account
     assert any("k_z" in line and "impossible" in line for line in fit.warnings)
 
 
+@pytest.mark.parametrize(
+    ("true", "base", "kept"), [(0.05, 5.0, False), (-0.05, 5.0, False), (0.05, 0.08, True)]
+)
+def test_a_base_value_is_kept_where_the_logs_allow_it(true, base, kept):
+    """The estimate is 0.05 or -0.05, with a standard error of 0.03."""
+    draw = np.random.default_rng(0)
+    column, noise = draw.normal(size=(2, 4000, 1))
+    noise -= column * (noise * column).mean() / (column**2).mean()
+    measured = true * column[:, 0] + 2.0 * noise[:, 0]
+    fit = solve(
+        Problem(
+            group="ay",
+            parameters=[Parameter("k_y", base, positive=True)],
+            measured=measured,
+            blocks=np.arange(4000) // 20,
+            columns=column,
+            noise=np.zeros_like(column),
+        )
+    )
+    value, error = fit.constants["k_y"], fit.errors["k_y"]
+    assert value == base if kept else abs(value - max(true, 0.0)) < 1e-3
+    assert np.isinf(error) if kept else 0.02 < error < 0.04
+    assert fit.r_squared > -0.01
+    assert any(line.startswith("k_y (ay): ") for line in fit.warnings)
+    assert any("0 is used: the logs exclude" in line for line in fit.warnings) == (true < 0.0)
+
+
 def test_filter_has_no_phase_and_derivative_is_exact_enough():
     time = np.arange(4000) / 400.0
     slow = np.sin(2 * np.pi * 2.0 * time)

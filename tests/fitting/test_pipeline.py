@@ -15,7 +15,7 @@ from quadjax.fitting.fit import fit
 from quadjax.fitting.flight_log import read_logs, write_log
 from quadjax.fitting.report import text_table
 from quadjax.vehicle.residual import read_residual
-from quadjax.vehicle.vehicle_file import read_vehicle
+from quadjax.vehicle.vehicle_file import read_vehicle, write_vehicle
 from tests.commands import run
 
 from .conftest import REPOSITORY
@@ -158,6 +158,20 @@ def test_keys_without_effect_are_refused(words, two):
     words = (f"logs.files=[{two}/*.csv]", *words[::-1])
     with pytest.raises(InputError, match=rf"^{key} is .*, which has no effect: .*; allowed: "):
         fit(load_fit_config(CONFIG, words), two)
+
+
+def test_an_axis_that_is_not_fitted_and_worse_than_none_is_named(bebop, two, tmp_path):
+    """The base vehicle has five times the pitch moment of the flights' drone."""
+    other = read_vehicle("bebop1.yaml").with_constants("motor", bebop.replace(k_q=5.0 * bebop.k_q))
+    write_vehicle(tmp_path / "base.yaml", other, "a base")
+    words = [
+        "residual.fit=false",
+        "nominal.axes=[ax, ay, az, Mx, Mz]",
+        f"vehicle={tmp_path}/base.yaml",
+    ]
+    words += [f"logs.files={two}/flight_0.csv", "split.folds=2"]
+    lines = [line for line in fit(load_fit_config(CONFIG, words), two).warnings if "R^2" in line]
+    assert len(lines) == 1 and lines[0].startswith("My: R^2 is -")
 
 
 def test_logs_of_a_drone_that_turns_faster_than_the_vehicle_are_refused(two):
