@@ -148,7 +148,12 @@ def log_formats_page() -> str:
                 else ""
             )
             others = form.alternatives.get(quantity, ())
-            texts = [", ".join(f"`{c}`" for c in group) for group in (columns, *others)]
+            texts = [
+                ", ".join(f"`{c}`" for c in group) + f" ({form.column_units[group[0]]})"
+                if group[0] in form.column_units
+                else ", ".join(f"`{c}`" for c in group)
+                for group in (columns, *others)
+            ]
             rows.append([quantity, " or ".join(texts) + topic, unit])
         frames = f"Body frame {form.body_frame}, world frame {form.world_frame}."
         reader = ulog if name == "ulog" else form.adjust

@@ -38,14 +38,16 @@ class UnitsConfig(Section):
     """Units of a log's columns, converted to SI and rpm; null is the format's."""
 
     time: Literal["s", "ms", "us"] | None = Field(None, description="unit of time stamps")
-    rpm: Literal["rpm", "krpm", "rad/s"] | None = Field(
-        None, description="unit of propeller speeds and their commands"
+    rpm: Literal["rpm", "krpm", "rad/s", "Hz", "erpm", "erpm/100"] | Positive | None = Field(
+        None,
+        description="unit of propeller speeds and their commands, or the rpm of 1; erpm: electrical"
+        " speed, with pole_pairs",
     )
     gyro: Literal["rad/s", "deg/s"] | None = Field(None, description="unit of body rates")
-    acceleration: Literal["m/s^2", "g"] | None = Field(
+    acceleration: Literal["m/s^2", "g", "mg"] | None = Field(
         None, description="unit of specific force and its bias"
     )
-    velocity: Literal["m/s", "cm/s"] | None = Field(
+    velocity: Literal["m/s", "cm/s", "mm/s"] | None = Field(
         None, description="unit of body and world velocity"
     )
     length: Literal["m", "cm", "mm"] | None = Field(None, description="unit of the position")
@@ -75,6 +77,12 @@ class LogsConfig(Section):
     )
     motor_range: Annotated[tuple[MotorCommand, MotorCommand], RISING] | None = Field(
         None, description="motor commands that are 0 and 1; null: the log's or the format's"
+    )
+    pole_pairs: int | None = Field(
+        None,
+        ge=1,
+        le=100,
+        description="of a motor, half its magnets, for speeds in erpm; null: the log's",
     )
     max_gap: Positive = Field(
         0.05, description="s, longest allowed gap between samples, not fitted"

@@ -33,7 +33,7 @@ from quadjax.fitting.signals import first_order
 EVIDENCE = 6.0  # least gain of log-likelihood that is evidence
 CHECKED = (*VECTORS, *ATTITUDES, "rpm", "motor_command")
 LONGEST_DELAY = 0.6  # s, that is looked for
-SCALES = 1.1 ** np.arange(-48.0, 49.0)
+SCALES = 1.1 ** np.arange(-73.0, 74.0)  # of up to a thousand
 ANGLES = np.arange(-175.0, 181.0, 5.0)  # deg
 NEGATED = "negated"
 UNRELATED = "of something else"

@@ -17,9 +17,11 @@ from quadjax.fitting.nominal import AXES, Constants, units
 from quadjax.fitting.nominal_fit import NominalFits
 from quadjax.fitting.regression import Estimate, check_signs, r_squared
 from quadjax.fitting.residual import ResidualFit, ResidualFits, zero_residual
-from quadjax.fitting.samples import Folds, Samples, Split
+from quadjax.fitting.samples import CUTOFF, Folds, Samples, Split
 from quadjax.flights.flight import Flight
 from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
+
+UNLIKE = 2.0  # times the base vehicle's thrust
 
 Report = Callable[[str], None]
 
@@ -101,7 +103,7 @@ def fit(config: FitConfig, folder: Path = Path(), report: Report = lambda line: 
     model = "racing" if vehicle.model == "racing" else "motor"
     base = with_body(vehicle, config.body, model)
     logs = read_logs(config.logs, folder, report)
-    check_speeds(config, logs, model)
+    check_logs(config, logs, model)
     report("preparing the samples")
     nominal = NominalFits(config, logs, base, model)
     split = nominal.split
@@ -132,6 +134,7 @@ def fit(config: FitConfig, folder: Path = Path(), report: Report = lambda line: 
             *_warnings(config, logs, estimates),
             *kept.values(),
             *_unexplained(training, nominal.fitted_axes(split.all)),
+            *_scale(config, logs, estimates, base),
         ],
     )
 
@@ -174,15 +177,20 @@ def cross_validate(
     return models, predictions
 
 
-def check_speeds(config: FitConfig, logs: Sequence[Flight], model: str) -> None:
-    """Refuse logs that lack what the model needs, or are of another drone.
+def check_logs(config: FitConfig, logs: Sequence[Flight], model: str) -> None:
+    """Refuse logs that are too slow, lack what the model needs, or are of another drone.
 
     Raises:
-        InputError: a log without speeds, or faster than the config's range by more than the allowed
-            scale error.
+        InputError: a log of few samples, without speeds, or faster than the config's range by more
+            than the allowed scale error.
     """
     for log in logs:
         path, measured = log.source["path"], "actuators" in log.signals
+        if log.sample_rate <= 2.0 * CUTOFF:
+            raise InputError(
+                f"{path}: a sample rate of {log.sample_rate:.4g} Hz is too low to fit, allowed: "
+                f"above {2.0 * CUTOFF:g} Hz"
+            )
         if model == "motor" and not measured:
             raise InputError(
                 f"{path}: no columns for rpm (logs.columns.rpm), which the model motor needs; "
@@ -206,6 +214,22 @@ def _unexplained(training: Prediction, fitted: Set[str]) -> Iterator[str]:
             yield f"{axis}: R^2 is {value:.3g} with the base vehicle's constants, which are kept"
 
 
+def _scale(
+    config: FitConfig, logs: Sequence[Flight], estimates: Sequence[Estimate], base: VehicleFile
+) -> Iterator[str]:
+    """A thrust unlike the base vehicle's, where nothing else shows the scale of the speeds."""
+    checked = config.body.rpm_range is not None or any("command" in log.signals for log in logs)
+    if base.model != "racing" or checked or not all("actuators" in log.signals for log in logs):
+        return
+    fitted = {name: x for estimate in estimates for name, x in estimate.constants.items()}
+    change = fitted.get("k_w", base.racing.k_w) / float(base.racing.k_w)
+    if not 1.0 / UNLIKE < change < UNLIKE:
+        yield (
+            f"k_w is {change:.3g} times that of {base.name}: is it the drone's, or is the scale of "
+            "the propeller speeds wrong (logs.units.rpm)? body.rpm_range, if given, bounds it"
+        )
+
+
 def _warnings(
     config: FitConfig, logs: Sequence[Flight], estimates: Sequence[Estimate]
 ) -> Iterator[str]:
@@ -225,6 +249,8 @@ def _warnings(
                 f"{log.name}: {len(gaps)} of the steps between samples are gaps of up to "
                 f"{max(gaps):.3g} s: the samples in and next to them are not fitted"
             )
+        if names := ", ".join(log.source["left_out"]):
+            yield f"{log.name}: not read: {names}"
         if names := ", ".join(log.source["unchecked"]):
             yield (
                 f"{log.name}: not checked for lack of motion or of columns to compare with: {names}"

@@ -4,6 +4,8 @@ A file is read as a table, its columns become quantities in SI and rpm, these ar
 FRD and world NED and to evenly spaced times, and they are compared with one another.
 """
 
+import contextlib
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,9 +22,12 @@ from quadjax.fitting.log_table import LogTable, read_csv, read_head
 from quadjax.fitting.magnitudes import check_attitude, check_columns, check_time
 from quadjax.fitting.quantities import (
     called,
+    check_motors,
     evenly,
+    further_motors,
     quantities_of,
     to_standard_frames,
+    unit_of,
     wanted_columns,
 )
 from quadjax.flights.flight import AXES, MOTORS, RATES, Flight, Signal, motion_signals
@@ -137,7 +142,8 @@ def read_log(path: Path | str, config: LogsConfig) -> Flight:
     Returns:
         The flight, evenly sampled; see ``log_flight``. Its ``source`` has "path"; "unchecked", the
         columns without evidence of sign and order; "cut_row", the row that is left out, or None;
-        and "gaps", the lengths, s, of those between samples that are not in flight therefore.
+        "gaps", the lengths, s, of those between samples that are not in flight therefore; and
+        "left_out", the columns of further motors.
 
     Raises:
         InputError: a missing column, a cell that is no finite number, a time that does not increase
@@ -153,7 +159,12 @@ def read_log(path: Path | str, config: LogsConfig) -> Flight:
     header = read_head(path, form.settings)[0]
     wanted = wanted_columns(path, config, form, header)
     names = [name for group in wanted.values() for name in group]
-    return _flight(read_csv(path, names, form.settings), config)
+    table = read_csv(path, names, form.settings)
+    further = further_motors(wanted, header)
+    with contextlib.suppress(InputError):  # columns without numbers are of no motor
+        others = read_csv(path, further, form.settings).columns if further else {}
+        table = dataclasses.replace(table, columns={**table.columns, **others})
+    return _flight(table, config)
 
 
 def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) -> Flight:
@@ -167,12 +178,14 @@ def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) ->
 def _flight(table: LogTable, config: LogsConfig) -> Flight:
     form, path = log_format(config.format), table.path
     names = wanted_columns(path, config, form, list(table.columns))
+    left_out = check_motors(table, names, config)
     quantities = quantities_of(table, names, config, form)
     check_time(table, names, quantities, config)
     check_attitude(table, names, quantities)
     if form.adjust is not None:
         quantities = called(form.adjust, path, quantities, table.settings)
-    check_columns(table, names, quantities, config)
+    units = {name: unit_of(name, group, table, config, form) for name, group in names.items()}
+    check_columns(table, names, quantities, units, config)
     frames = (config.body_frame or form.body_frame, config.world_frame or form.world_frame)
     standard, frames = to_standard_frames(quantities, *frames)
     if frames[1] == "ENU":  # the names in the order of north, east, down
@@ -184,6 +197,7 @@ def _flight(table: LogTable, config: LogsConfig) -> Flight:
     unchecked = check_consistency(path, names, even, rate, flying, frames, config)
     even["flying"] = flying
     facts = {"unchecked": unchecked, "cut_row": table.cut_row, "gaps": gaps.tolist()}
+    facts["left_out"] = left_out
     return log_flight(path, even, **facts)
 
 

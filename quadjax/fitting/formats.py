@@ -37,7 +37,6 @@ class Quantity:
     may_be_constant: bool = False  # whether it may be constant throughout a flight
     # lowest and highest value, of all columns or of each; none for any
     range: tuple[float | tuple[float, ...], float | tuple[float, ...]] | tuple[()] = ()
-    hint: str = ""  # what a value beyond it indicates
 
     @property
     def si(self) -> str:
@@ -49,25 +48,16 @@ QUANTITIES = {
     "time": Quantity(1, "time", may_be_constant=True),
     "rpm": Quantity(4, "rpm", range=(-100.0, 1e5)),
     "rpm_command": Quantity(4, "rpm", "", True, True, (-100.0, 1e5)),
-    "motor_command": Quantity(4, "", "", True, True, (-0.02, 1.02), "logs.motor_range right"),
-    "rate_command": Quantity(3, "gyro", "body", True, True, (-60.0, 60.0), "this in deg/s"),
-    "thrust_command": Quantity(
-        1, "acceleration", "", True, True, (-400.0, 400.0), "this in newtons"
-    ),
-    "gyro": Quantity(3, "gyro", "body", range=(-60.0, 60.0), hint="this in deg/s"),
-    "acceleration": Quantity(
-        3, "acceleration", "body", range=(-400.0, 400.0), hint="this in milli-g"
-    ),
-    "acceleration_bias": Quantity(
-        3, "acceleration", "body", False, True, (-10.0, 10.0), "this in milli-g"
-    ),
-    "body_velocity": Quantity(3, "velocity", "body", range=(-100.0, 100.0), hint="this in cm/s"),
-    "world_velocity": Quantity(3, "velocity", "world", range=(-100.0, 100.0), hint="this in cm/s"),
+    "motor_command": Quantity(4, "", "", True, True, (-0.02, 1.02)),
+    "rate_command": Quantity(3, "gyro", "body", True, True, (-60.0, 60.0)),
+    "thrust_command": Quantity(1, "acceleration", "", True, True, (-400.0, 400.0)),
+    "gyro": Quantity(3, "gyro", "body", range=(-60.0, 60.0)),
+    "acceleration": Quantity(3, "acceleration", "body", range=(-400.0, 400.0)),
+    "acceleration_bias": Quantity(3, "acceleration", "body", False, True, (-10.0, 10.0)),
+    "body_velocity": Quantity(3, "velocity", "body", range=(-100.0, 100.0)),
+    "world_velocity": Quantity(3, "velocity", "world", range=(-100.0, 100.0)),
     "position": Quantity(3, "length", "world", optional=True),
-    "euler": Quantity(
-        *(3, "angle", "", True, False, ((-3.2, -1.6, -1e3), (3.2, 1.6, 1e3))),
-        hint="this in degrees (logs.units.angle)",
-    ),
+    "euler": Quantity(3, "angle", "", True, False, ((-3.2, -1.6, -1e3), (3.2, 1.6, 1e3))),
     "quaternion": Quantity(4, optional=True),
     "rotation": Quantity(9, optional=True, may_be_constant=True),
     "mode": Quantity(1, optional=True, may_be_constant=True),
@@ -76,10 +66,11 @@ ATTITUDES = ("euler", "quaternion", "rotation")
 COMMANDS = ("rpm_command", "motor_command", "rate_command", "thrust_command")
 UNITS: dict[str, dict[str, float]] = {  # factors to the first unit of each kind
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
-    "rpm": {"rpm": 1.0, "krpm": 1e3, "rad/s": RPM},
+    # electrical speeds: of one pair of poles
+    "rpm": {"rpm": 1.0, "krpm": 1e3, "rad/s": RPM, "Hz": 60.0, "erpm": 1.0, "erpm/100": 100.0},
     "gyro": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
-    "acceleration": {"m/s^2": 1.0, "g": 9.80665},
-    "velocity": {"m/s": 1.0, "cm/s": 0.01},
+    "acceleration": {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3},
+    "velocity": {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001},
     "length": {"m": 1.0, "cm": 0.01, "mm": 0.001},
     "angle": {"rad": 1.0, "deg": math.pi / 180.0},
 }
@@ -94,10 +85,12 @@ class LogFormat:
             motors in the order front-left, front-right, rear-right, rear-left.
         alternatives: further names by quantity, used where a log lacks the first ones.
         units: by kind, where they are not SI and rpm (see ``quadjax.fitting.formats.UNITS``).
+        column_units: of further names, by the first one of a quantity, where they are others.
         body_frame: FRD, FLU, or auto: by the direction of the thrust.
         world_frame: NED, ENU, or auto: by the direction of gravity.
         motor_range: values of a motor command that are 0 and 1.
         motor_setting: the setting with both in the log's head, if it has one.
+        poles_setting: the setting with the number of poles of a motor, if it has one.
         settings: rows of a setting and its value precede a CSV file's header.
         adjust: ``(quantities, settings) -> quantities``, called with quantities of ``columns`` by
             name, each (n, k) in SI or rpm, in the log's frames.
@@ -108,10 +101,12 @@ class LogFormat:
     columns: Mapping[str, list[str]]
     alternatives: Mapping[str, tuple[list[str], ...]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    column_units: Mapping[str, str] = field(default_factory=dict)
     body_frame: str = "FRD"
     world_frame: str = "NED"
     motor_range: tuple[float, float] = (0.0, 1.0)
     motor_setting: str = ""
+    poles_setting: str = ""
     settings: bool = False
     adjust: Callable[[Quantities, Mapping[str, str]], Quantities] | None = None
     read: Callable[[Path], Mapping[str, np.ndarray]] | None = None
@@ -144,7 +139,8 @@ def adjust_blackbox(quantities: Quantities, settings: Mapping[str, str]) -> Quan
 
     Rows of a setting and its value may precede the header. The reader uses ``acc_1G`` (required if
     the accelerometer is in counts), ``motorOutput`` (values of motor commands 0 and 1; 158 and 2048
-    without it) and ``blackbox_high_resolution`` (the gyro is ten times larger). Accelerometer and
+    without it), ``blackbox_high_resolution`` (the gyro is ten times larger) and ``motor_poles`` (of
+    electrical speeds; ``logs.pole_pairs`` overrides it). Accelerometer and
     gyro are in FLU axes in some versions of the firmware and in FRD axes in others: where the
     specific force points along positive z, y and z are negated. In all versions the attitude is
     that of FRD axes in NED. Logs without a position estimate lack the velocity and are rejected:
@@ -233,7 +229,7 @@ FORMATS: dict[str, LogFormat] = {
         },
         {
             "time": (["time (us)"],),
-            "rpm": (names("omegaUnfiltered[*]", "3102"),),
+            "rpm": (names("omegaUnfiltered[*]", "3102"), names("eRPM[*]", "3102")),
             "world_velocity": (names("extVel[*]", "012"),),
             "position": (names("extPos[*]", "012"),),
         },
@@ -245,8 +241,10 @@ FORMATS: dict[str, LogFormat] = {
             "velocity": "cm/s",
             "length": "mm",
         },
+        {"eRPM[3]": "erpm/100"},
         motor_range=(158.0, 2048.0),  # DSHOT
         motor_setting="motorOutput",
+        poles_setting="motor_poles",
         settings=True,
         adjust=adjust_blackbox,
     ),

@@ -9,17 +9,15 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import LogsConfig
-from quadjax.fitting.formats import QUANTITIES, Quantities
+from quadjax.fitting.formats import QUANTITIES, UNITS, Quantities
 from quadjax.fitting.log_table import LogTable, time_fault
 
 Names = Mapping[str, list[str]]  # of columns, by quantity
+Units = Mapping[str, tuple[str, float]]  # names, "" for a number, and factors, by quantity
 LEAST_ROWS = 50  # of a log, for the filters
 DETERMINANT_SLACK = 0.1  # of a rotation matrix, from 1
-MEDIANS = (  # of propeller speeds in flight, rpm: from, to, and what else it may be
-    (-np.inf, -100.0, "expected no sign"),
-    (-100.0, 2000.0, "is this rad/s (logs.units.rpm)?"),
-    (60_000.0, np.inf, "is this electrical speed (pole pairs times the propeller's)?"),
-)
+SLOWEST, FASTEST = 2000.0, 60_000.0  # rpm, medians of propeller speeds in flight
+USUAL_PAIRS = 7  # of poles, of most motors of racing quadcopters
 
 
 def flying(quantities: Quantities) -> np.ndarray:
@@ -44,7 +42,9 @@ def check_time(log: LogTable, names: Names, quantities: Quantities, config: Logs
     if fault is None and not 2e-4 < usual < 0.051:
         problem = f"samples are {usual:.3g} s apart, expected 0.0002 to 0.05 s; is "
         raise log.error(1, column, problem + "logs.units.time right?")
-    if fault := fault or time_fault(time, max(config.max_gap, 2.5 * usual)):
+    if fault is not None:
+        raise log.error(fault[0], column, fault[1])
+    if fault := time_fault(time, max(config.max_gap, 2.5 * usual)):
         raise log.error(fault[0], column, f"{fault[1]} (logs.max_gap)")
     if seconds < config.min_seconds:
         problem = f"the file ends after {seconds:.3g} s, expected at least {config.min_seconds:g} s"
@@ -68,14 +68,17 @@ def check_attitude(log: LogTable, names: Names, quantities: Quantities) -> None:
             raise log.error(row, f"{names[form][0]!r} and on: ", problem)
 
 
-def check_columns(log: LogTable, names: Names, quantities: Quantities, config: LogsConfig) -> None:
+def check_columns(
+    log: LogTable, names: Names, quantities: Quantities, units: Units, config: LogsConfig
+) -> None:
     """Measurements must not be constant in flight, nor beyond their range in ``QUANTITIES``.
 
-    The motors turn at about the same speed, and at that of their commands.
+    The motors turn at about the same speed, and at that of their commands. ``units`` are those of
+    the columns, with their factors.
     """
     airborne = flying(quantities)
     for quantity, values in quantities.items():
-        row = QUANTITIES[quantity]
+        row, unit = QUANTITIES[quantity], units.get(quantity, ("", 1.0))
         for i, (name, column) in enumerate(
             zip(names[quantity], np.atleast_2d(values.T), strict=True)
         ):
@@ -85,7 +88,7 @@ def check_columns(log: LogTable, names: Names, quantities: Quantities, config: L
                     f"flight, expected a measurement of {quantity}"
                 )
             if quantity in ("rpm", "rpm_command"):
-                _check_median(log, name, column, airborne)
+                _check_median(log, name, column, airborne, unit)
             if not row.range:
                 continue
             low, high = (np.broadcast_to(bound, row.width)[i] for bound in row.range)
@@ -94,18 +97,46 @@ def check_columns(log: LogTable, names: Names, quantities: Quantities, config: L
                 beyond &= airborne
             for sample in np.flatnonzero(beyond)[:1]:
                 problem = f" is {column[sample]:.4g} {row.si}, expected {low:g} to {high:g}"
-                question = f"; is {row.hint}?" if row.hint else ""
-                raise log.error(sample, repr(name), problem + question)
+                raise log.error(sample, repr(name), problem + _hint(row.unit, column, high, unit))
     _check_levels(log, names, quantities, 1.0 + config.max_scale_error)
 
 
-def _check_median(log: LogTable, name: str, speeds: np.ndarray, airborne: np.ndarray) -> None:
+def _check_median(
+    log: LogTable, name: str, speeds: np.ndarray, airborne: np.ndarray, unit: tuple[str, float]
+) -> None:
+    """The median speed in flight must be that of a propeller; ``unit`` and its factor to rpm."""
     rows = np.flatnonzero(airborne)
     middle = float(np.median(speeds[rows]))
-    for low, high, hint in MEDIANS:
-        if low < middle < high:
-            problem = f"a median of {middle:.4g} rpm in flight; {hint}"
-            raise log.error(rows[0], f"{name!r} and on: ", problem)
+    if SLOWEST <= middle <= FASTEST:
+        return
+    problem = f"a median of {middle:.4g} rpm in flight; "
+    raise log.error(rows[0], f"{name!r} and on: ", problem + _speeds_hint(middle, *unit))
+
+
+def _speeds_hint(middle: float, unit: str, factor: float) -> str:
+    """The units that would make a median of so many rpm one of propellers."""
+    if middle < -SLOWEST:
+        return "expected no sign"
+    pairs = {name: USUAL_PAIRS for name in UNITS["rpm"] if name.startswith("erpm")}
+    likely = [
+        f"{name} (with logs.pole_pairs)" if name in pairs else name
+        for name, other in UNITS["rpm"].items()
+        if name != unit and SLOWEST <= middle / factor * other / pairs.get(name, 1) <= FASTEST
+    ]
+    allowed = f"expected {SLOWEST:g} to {FASTEST:g}"
+    words = [*likely, "the rpm of 1"]
+    return f"{allowed}; is logs.units.rpm {' or '.join(words)}?"
+
+
+def _hint(kind: str, column: np.ndarray, high: float, unit: tuple[str, float]) -> str:
+    """The key that would bring a column (n,) of a kind of unit below its highest value."""
+    if not kind:
+        return "; is logs.motor_range right?"
+    largest, words = np.abs(column).max() / unit[1], {"deg": "degrees", "mg": "milli-g"}
+    for name, factor in UNITS[kind].items():
+        if name != unit[0] and largest * factor <= high:
+            return f"; is this in {words.get(name, name)} (logs.units.{kind}={name})?"
+    return ""
 
 
 def _check_levels(log: LogTable, names: Names, quantities: Quantities, largest: float) -> None:

@@ -1,5 +1,6 @@
 """From the columns of a flight log to quantities: names, units, frames and even times."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from quadjax.fitting.formats import (
 )
 from quadjax.fitting.log_table import LogTable, continuous, interpolated
 
+NUMBER = re.compile(r"\d+(?=\D*$)")  # the last one of a name
 BRIDGED = 0.02  # s, of gaps in which a straight line takes the place of the signals
 GUARD = 0.1  # s next to a gap, within the filters' reach
 SETTLING = 0.5  # s, until unknown propeller speeds have no effect
@@ -107,14 +109,92 @@ def quantities_of(
             for row in np.flatnonzero(~np.isfinite(values))[:1]:
                 problem = f" is {values[row]}, expected a finite number"
                 raise table.error(row, repr(name), problem)
-        kind = QUANTITIES[quantity].unit
-        unit = getattr(config.units, kind) or form.units.get(kind) if kind else None
-        values = np.stack(columns, axis=1) * (UNITS[kind][unit] if unit else 1.0)
+        values = np.stack(columns, axis=1) * unit_of(quantity, group, table, config, form)[1]
         if quantity == "motor_command":
             low, high = config.motor_range or _motor_range(path, form, table.settings)
             values = (values - low) / max(high - low, 1e-9)
         result[quantity] = values[:, 0] if len(group) == 1 else values
     return result
+
+
+def further_motors(names: Mapping[str, list[str]], present: Sequence[str]) -> list[str]:
+    """Columns of motors beyond the four of a log, ``motor[4]`` beside ``motor[0]`` and so on."""
+    found = []
+    for quantity in ("rpm", "rpm_command", "motor_command"):
+        group = names.get(quantity, [])
+        forms = {NUMBER.sub("#", name) for name in group}
+        if len(forms) == 1 and "#" in (form := forms.pop()):
+            found += [name for name in present if NUMBER.sub("#", name) == form]
+    known = {name for group in names.values() for name in group}
+    return [name for name in found if name not in known]
+
+
+def check_motors(table: LogTable, names: Mapping[str, list[str]], config: LogsConfig) -> list[str]:
+    """The columns of further motors that change, of which the config chose four.
+
+    Raises:
+        InputError: a drone of more than four motors.
+    """
+    beyond = []
+    for name in further_motors(names, list(table.columns)):
+        values = np.asarray(table.columns[name], np.float64)
+        values = values[np.isfinite(values)]
+        beyond += [name] * bool(len(values) and np.ptp(values) > 0.0)
+    chosen = {name for group in config.columns.values() for name in group}
+    others = further_motors({q: g for q, g in names.items() if not set(g) <= chosen}, beyond)
+    if others:
+        raise InputError(
+            f"{table.path}: columns {', '.join(map(repr, others))} are of more than four motors, "
+            "allowed: quadcopters (logs.columns may list the four motors of one)"
+        )
+    return beyond
+
+
+def unit_of(
+    quantity: str, names: Sequence[str], table: LogTable, config: LogsConfig, form: LogFormat
+) -> tuple[str, float]:
+    """The unit of a quantity's columns, and its factor to SI or rpm; "" for a number or none.
+
+    Raises:
+        InputError: electrical speeds without the pole pairs of the motors, or pole pairs without
+            them.
+    """
+    kind = QUANTITIES[quantity].unit
+    if not kind:
+        return "", 1.0
+    first = next(iter(UNITS[kind]))
+    unit = getattr(config.units, kind) or form.column_units.get(names[0])
+    unit = unit or form.units.get(kind, first)
+    if not isinstance(unit, str):
+        unit, factor = "", float(unit)
+    else:
+        factor = UNITS[kind][unit]
+    if unit.startswith("erpm"):
+        return unit, factor / _pole_pairs(names, table, config, form)
+    if kind == "rpm" and config.pole_pairs is not None:
+        raise InputError(
+            f"{table.path}: logs.pole_pairs is {config.pole_pairs}, which has no effect: columns "
+            f"{', '.join(map(repr, names))} are in {unit or 'rpm by a factor'} (logs.units.rpm), "
+            "not electrical speeds (erpm)"
+        )
+    return unit, factor
+
+
+def _pole_pairs(
+    names: Sequence[str], table: LogTable, config: LogsConfig, form: LogFormat
+) -> float:
+    """Electrical over propeller speed: of the config, or of the log's head."""
+    if config.pole_pairs is not None:
+        return float(config.pole_pairs)
+    setting = form.poles_setting
+    poles = numbers_of(table.settings, setting) if setting else []
+    if len(poles) == 1 and poles[0] >= 2.0:
+        return 0.5 * poles[0]
+    head = f", nor has the head of the file a setting {setting}" if setting else ""
+    raise InputError(
+        f"{table.path}: columns {', '.join(map(repr, names))} are electrical speeds, but "
+        f"logs.pole_pairs is null{head}; allowed: half the number of magnets of a motor"
+    )
 
 
 def _motor_range(

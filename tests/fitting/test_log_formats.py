@@ -5,10 +5,11 @@ import pytest
 import yaml
 
 from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
 from quadjax.fitting.axes import with_common
 from quadjax.fitting.config import FitConfig, LogsConfig
 from quadjax.fitting.fit import fit
-from quadjax.fitting.flight_log import read_log
+from quadjax.fitting.flight_log import log_of_columns, read_log
 from quadjax.fitting.report import tables
 from quadjax.fitting.samples import prepare
 from quadjax.vehicle.constants import replaced, values_of
@@ -215,6 +216,91 @@ def test_topics_of_a_ulog_file_are_checked(short, tmp_path):
         refused(path, "ulog", *words)
     path.write_bytes(path.read_bytes()[:-1000][16:])
     refused(path, "ulog", "is binary data, expected a ULog file of PX4")
+
+
+SPEEDS = [f"omega[{i}]" for i in range(4)]
+SPEED_UNITS = {  # of the columns: rpm of 1, and the keys that say so
+    "krpm": (1e3, {"units": {"rpm": "krpm"}}),
+    "Hz": (60.0, {"units": {"rpm": "Hz"}}),
+    "erpm": (1.0 / 7.0, {"units": {"rpm": "erpm"}, "pole_pairs": 7}),
+    "hundreds": (100.0 / 6.0, {"units": {"rpm": "erpm/100"}, "pole_pairs": 6}),
+    "a number": (12.5, {"units": {"rpm": 12.5}}),
+}
+
+
+@pytest.mark.parametrize("name", SPEED_UNITS)
+def test_rotor_speeds_in_other_units(name, short):
+    factor, keys = SPEED_UNITS[name]
+    columns, rpm = _speeds_in(short, factor)
+    log = log_of_columns(columns, LogsConfig(format="blackbox", **keys), "flight")
+    np.testing.assert_allclose(log["actuators"], rpm[:, _OF_FORMAT], rtol=1e-9)
+
+
+_OF_FORMAT = [3, 1, 0, 2]
+
+
+def _speeds_in(flight, rpm_of_1):
+    """Blackbox columns with speeds in a unit, and the speeds (n, 4), rpm."""
+    columns = {n: 1.0 * x for n, x in racing_logs.blackbox_columns(flight).items()}
+    rpm = np.stack([columns[name] for name in SPEEDS], axis=1) * 30.0 / np.pi
+    for i in range(3):
+        columns[f"accSmooth[{i}]"] = columns[f"accSmooth[{i}]"] / 2048.0
+    return columns | dict(zip(SPEEDS, rpm.T / rpm_of_1, strict=True)), rpm
+
+
+@pytest.mark.parametrize(
+    ("rpm_of_1", "unit", "words", "never"),
+    [
+        (60.0, "rad/s", ("Hz",), ("rad/s", "erpm (")),
+        (100.0 / 7.0, "rpm", ("rad/s or Hz or erpm/100 (with logs.pole_pairs)",), ("erpm (",)),
+        (1.0 / 7.0, "rpm", ("is logs.units.rpm erpm (with logs.pole_pairs) or",), ("Hz", "rad/s")),
+        (1e6, "rpm", ("is logs.units.rpm the rpm of 1?",), ("Hz",)),
+    ],
+)
+def test_a_unit_of_speeds_is_hinted_only_where_it_would_do(rpm_of_1, unit, words, never, short):
+    config = LogsConfig(format="blackbox", units={"rpm": unit})
+    with pytest.raises(InputError) as caught:
+        log_of_columns(_speeds_in(short, rpm_of_1)[0], config, "flight")
+    line = str(caught.value)
+    assert all(word in line for word in words) and not any(word in line for word in never), line
+
+
+def test_electrical_speeds_of_betaflight_need_the_poles_of_the_motors(short, tmp_path):
+    """In hundreds, by the head of the file or by the config."""
+    columns, path = racing_logs.blackbox_columns(short), tmp_path / "flight.csv"
+    for i in range(4):
+        rpm = columns.pop(f"omega[{i}]") * 30.0 / np.pi
+        columns[f"eRPM[{i}]"] = np.rint(0.07 * rpm).astype(int)
+    racing_logs.write_blackbox(path, columns, {"motor_poles": 14})
+    config, speeds = LogsConfig(format="blackbox"), short["speed"] * 30.0 / np.pi
+    np.testing.assert_allclose(read_log(path, config)["actuators"], speeds, atol=15.0)
+    racing_logs.write_blackbox(path, columns)
+    refused(path, "blackbox", "'eRPM[0]'", "electrical", "logs.pole_pairs is null", "motor_poles")
+    log = read_log(path, config.replace(pole_pairs=7))
+    np.testing.assert_allclose(log["actuators"], speeds, atol=15.0)
+
+
+def test_pole_pairs_of_other_speeds_are_refused(short, tmp_path):
+    path = _write("blackbox", short, tmp_path, False)
+    with pytest.raises(InputError, match="logs.pole_pairs is 7, which has no effect: .* in rad/s"):
+        read_log(path, LogsConfig(format="blackbox", pole_pairs=7))
+
+
+@pytest.mark.parametrize("name", ["motor", "omega"])
+def test_drones_of_more_than_four_motors_are_refused(name, short, tmp_path):
+    """Unless the config lists four of them, which is said; unused columns do not change."""
+    columns, path = racing_logs.blackbox_columns(short), tmp_path / "flight.csv"
+    still = {f"{name}[{i}]": np.full_like(columns["time"], 1000) for i in (4, 5)}
+    racing_logs.write_blackbox(path, columns | still)
+    assert read_log(path, LogsConfig(format="blackbox")).source["left_out"] == []
+    racing_logs.write_blackbox(
+        path, columns | {f"{name}[{i + 4}]": columns[f"{name}[{i}]"] for i in range(2)}
+    )
+    refused(path, "blackbox", f"columns '{name}[4]', '{name}[5]'", "more than four motors")
+    quantity = {"motor": "motor_command", "omega": "rpm"}[name]
+    four = {quantity: [f"{name}[{i}]" for i in _OF_FORMAT]}
+    log = read_log(path, LogsConfig(format="blackbox", columns=four))
+    assert log.source["left_out"] == [f"{name}[4]", f"{name}[5]"]
 
 
 @pytest.fixture(scope="module")
