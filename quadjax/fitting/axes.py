@@ -1,6 +1,7 @@
 """Fit of the constants of forces and moments, axis by axis, and what a model predicts."""
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Sequence, Set
 from typing import Self, TypeVar
 
 import numpy as np
@@ -15,15 +16,17 @@ from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.residual import Residual
 
 Fitted = TypeVar("Fitted", bound=Constants)
+SEPARATED = 0.8  # of the R^2, below which common constants do not explain what single ones do
 ROTORS = "1234"  # ends of the names of a constant of each rotor
 
 
-def fit_axes(samples: Samples, base: Constants) -> list[Estimate]:
+def fit_axes(samples: Samples, base: Constants, common: Set[str] = frozenset()) -> list[Estimate]:
     """Fit every axis of a nominal model.
 
     Args:
         samples: see ``prepare``, of the same model.
         base: values of constants without evidence; their type selects the model.
+        common: names of constants whose base value is that common to the rotors of these samples.
     """
     equations, values = EQUATIONS[type(base)], values_of(base)
     numbers = np.unique(samples.flight)
@@ -34,7 +37,7 @@ def fit_axes(samples: Samples, base: Constants) -> list[Estimate]:
         return Parameter(name, float(values[name]), positive=positive, small=small)
 
     return [
-        solve(
+        _solve_axis(
             Problem(
                 group=axis,
                 parameters=[parameter(name) for name in names],
@@ -43,10 +46,35 @@ def fit_axes(samples: Samples, base: Constants) -> list[Estimate]:
                 uncertain=equations.uncertain,
                 columns=samples.regressors[axis],
                 noise=samples.noise[axis],
-            )
+            ),
+            common,
         )
         for axis, names in equations.constants.items()
     ]
+
+
+def _solve_axis(problem: Problem, common: Set[str]) -> Estimate:
+    """An axis, with values common to the rotors for those that the flight does not separate.
+
+    Rotors that move together, and a moment that the model lacks, give constants of an impossible
+    sign. Unlike those of swapped columns, they explain little that the common values do not.
+    """
+    free = estimate = solve(problem)
+    fixed: list[str] = []
+    while wrong := [name for name in estimate.negated if name in common]:
+        fixed += wrong
+        parameters = [p._replace(fixed=p.name in fixed) for p in problem.parameters]
+        estimate = solve(dataclasses.replace(problem, parameters=parameters))
+    if not fixed or estimate.r_squared < SEPARATED * free.r_squared:
+        return free
+    lines = [line for line in estimate.warnings if line.partition(" (")[0] not in fixed]
+    lines += [
+        f"{name} ({problem.group}): {free.constants[name]:.2g} +- {free.errors[name]:.1g} is "
+        "impossible below 0; the flight does not tell the rotors apart, and the value common to "
+        f"them, {estimate.constants[name]:.4g}, is used"
+        for name in fixed
+    ]
+    return dataclasses.replace(estimate, warnings=tuple(lines))
 
 
 def with_estimates(base: Fitted, estimates: Sequence[Estimate]) -> Fitted:

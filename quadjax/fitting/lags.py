@@ -182,5 +182,5 @@ def fit_lag(
     if reason:
         return unknown(group, {tau.name: tau.base}, reason)
     problem = problem_of(parts, lambda values, index, part: part.command)
-    options = {"group": group, "parameters": [tau], "least_explained": lowest}
+    options: dict[str, Any] = {"group": group, "parameters": [tau], "least_explained": lowest}
     return solve_lag(rate=slowest(parts), **problem, **options)

@@ -91,9 +91,13 @@ class NominalFits:
         if samples is None:
             samples = prepare(logs, base, self.rows)
         used = samples[self.split.rows(folds)]
+        common: frozenset[str] = frozenset()
         if self.model == "racing":
             base = with_common(used, base)
-        axes = [fit for fit in fit_axes(used, base) if fit.group in self.config.nominal.axes]
+            before = values_of(self.base)
+            common = frozenset(name for name, x in values_of(base).items() if x != before[name])
+        axes = fit_axes(used, base, common)
+        axes = [fit for fit in axes if fit.group in self.config.nominal.axes]
         self._fits[folds] = samples, [*axes, *motors]
         return self._fits[folds]
 

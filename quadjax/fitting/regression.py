@@ -45,8 +45,7 @@ class Estimate:
     r_squared: float = 0.0  # of the signal, over all its columns
     rmse: float = np.nan  # of the signal
     warnings: tuple[str, ...] = ()  # one line each
-    # parameters that are significantly below zero and cannot be, as text
-    negated: tuple[str, ...] = ()
+    negated: tuple[str, ...] = ()  # parameters that are significantly below zero and cannot be
     converged: bool = True  # false if the solver stopped at its limit of steps
 
 
@@ -135,10 +134,7 @@ def solve(problem: Problem) -> Estimate:
         r_squared=explained,
         rmse=float(np.sqrt(square.mean())),
         warnings=tuple(warnings),
-        negated=tuple(
-            f"{names[i]} = {values[i]:.3g} +- {errors[i]:.2g} ({problem.group})"
-            for i in np.flatnonzero(_negated(problem, values, errors))
-        ),
+        negated=tuple(names[i] for i in np.flatnonzero(_negated(problem, values, errors))),
         converged=converged,
     )
 
@@ -156,7 +152,11 @@ def check_signs(estimates: Sequence[Estimate]) -> None:
     Raises:
         InputError: a constant that is significantly negative and cannot be.
     """
-    wrong = [text for estimate in estimates for text in estimate.negated]
+    wrong = [
+        f"{name} = {fit.constants[name]:.3g} +- {fit.errors[name]:.2g} ({fit.group})"
+        for fit in estimates
+        for name in fit.negated
+    ]
     if wrong:
         raise InputError(
             f"the fit has {', '.join(wrong)}, expected above 0: a column of that axis is negated "

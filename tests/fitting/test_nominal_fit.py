@@ -8,11 +8,20 @@ from quadjax.fitting.axes import fit_axes
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_logs, write_log
 from quadjax.fitting.motors import fit_battery
-from quadjax.fitting.nominal import AXES, CONSTANTS, ModelInputs, angular_moment, nominal
+from quadjax.fitting.nominal import (
+    AXES,
+    CONSTANTS,
+    RACING_CONSTANTS,
+    ModelInputs,
+    angular_moment,
+    nominal,
+)
 from quadjax.fitting.regression import Parameter, Problem, check_signs, solve
-from quadjax.fitting.samples import airborne, prepare
+from quadjax.fitting.samples import Samples, airborne, prepare
 from quadjax.fitting.signals import derivative, first_order, low_pass
 from quadjax.vehicle.battery import BatteryConfig
+from quadjax.vehicle.constants import replaced
+from quadjax.vehicle.vehicle_file import read_vehicle
 from tests import reference as ref
 
 from .conftest import RACING_INERTIA
@@ -160,6 +169,46 @@ def test_constants_of_an_impossible_sign_are_refused(bebop, flights):
     measured[:, 5] -= 0.002 * samples.regressors["Mz"][:, 2]
     kept = fit_axes(replace(samples, measured=measured), bebop)[5]
     assert kept.constants["k_rr"] == bebop.k_rr and "impossible below 0" in kept.warnings[0]
+
+
+@pytest.mark.parametrize("swapped", [(), (0, 3), (0, 2)])
+def test_rotors_that_a_flight_does_not_separate_have_common_constants(swapped):
+    """Front rotors and rear rotors move together, and My has a small part of the yaw moment.
+
+    Single constants are then 2e-5 and -1e-5 in place of 5e-6; those of swapped columns are refused.
+    """
+    draw, count = np.random.default_rng(0), 4000
+    base, names = read_vehicle("5inch.yaml").racing, [f"k_q{i}" for i in (1, 2, 3, 4)]
+    pairs = 2.2e6 + 1e5 * draw.normal(size=(count, 2))
+    squares = pairs[:, [0, 0, 1, 1]] + 1e4 * draw.normal(size=(count, 4))
+    columns = squares * [1.0, 1.0, -1.0, -1.0]
+    measured = 5e-6 * columns.sum(axis=1) + 1.5e-5 * squares @ [1.0, -1.0, 1.0, -1.0]
+    measured += 0.02 * draw.normal(size=count)
+    order = np.arange(4)
+    order[list(swapped)] = swapped[::-1]
+    columns = squares[:, order] * [1.0, 1.0, -1.0, -1.0]
+    zeros = {axis: np.zeros((count, len(n))) for axis, n in RACING_CONSTANTS.items()}
+    samples = Samples(
+        motion=None,
+        regressors=zeros | {"My": columns},
+        noise=zeros,
+        measured=np.stack([0.0 * measured] * 4 + [measured, 0.0 * measured], axis=1),
+        flight=np.zeros(count, int),
+        time=np.arange(count) / 100.0,
+        sample_rate=100.0,
+    )
+    common = replaced(base, dict.fromkeys(names, 5e-6))
+    fit = fit_axes(samples, common, frozenset(names))[4]
+    if swapped:
+        with pytest.raises(InputError, match="negated or swapped"):
+            check_signs([fit])
+        return
+    check_signs([fit])
+    assert fit.condition == np.inf and fit.r_squared > 0.9
+    assert all(fit.constants[name] > 0.0 for name in names)
+    for name in ("k_q2", "k_q3"):
+        assert fit.constants[name] == 5e-6
+        assert any(x.startswith(name) and "does not tell the rotors" in x for x in fit.warnings)
 
 
 def test_ground_time_is_trimmed(bebop, flights):
