@@ -21,6 +21,7 @@ from quadjax.fitting.formats import QUANTITIES, Quantities, log_format
 from quadjax.fitting.log_table import LogTable, read_csv, read_head
 from quadjax.fitting.magnitudes import check_attitude, check_columns, check_time
 from quadjax.fitting.quantities import (
+    armed,
     called,
     check_motors,
     evenly,
@@ -143,7 +144,7 @@ def read_log(path: Path | str, config: LogsConfig) -> Flight:
         The flight, evenly sampled; see ``log_flight``. Its ``source`` has "path"; "unchecked", the
         columns without evidence of sign and order; "cut_row", the row that is left out, or None;
         "gaps", the lengths, s, of those between samples that are not in flight therefore; and
-        "left_out", the columns of further motors.
+        "left_out", what the file has and is not read.
 
     Raises:
         InputError: a missing column, a cell that is no finite number, a time that does not increase
@@ -153,6 +154,8 @@ def read_log(path: Path | str, config: LogsConfig) -> Flight:
     form = log_format(config.format)
     if form.read is not None:
         columns = called(form.read, path, Path(path))
+        if isinstance(columns, LogTable):
+            return _flight(columns, config)
         if not isinstance(columns, Mapping):
             raise InputError(f"{path}: the reader gives {columns!r:.40}, expected columns by name")
         return _flight(LogTable(str(path), columns), config)
@@ -178,7 +181,8 @@ def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) ->
 def _flight(table: LogTable, config: LogsConfig) -> Flight:
     form, path = log_format(config.format), table.path
     names = wanted_columns(path, config, form, list(table.columns))
-    left_out = check_motors(table, names, config)
+    table = armed(table, names)
+    left_out = [*table.left_out, *check_motors(table, names, config)]
     quantities = quantities_of(table, names, config, form)
     check_time(table, names, quantities, config)
     check_attitude(table, names, quantities)

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
 from quadjax.fitting import ulog
+from quadjax.fitting.log_table import LogTable
 
 Quantities = dict[str, np.ndarray]
 RPM = 30.0 / math.pi  # of 1 rad/s
@@ -94,8 +95,8 @@ class LogFormat:
         settings: rows of a setting and its value precede a CSV file's header.
         adjust: ``(quantities, settings) -> quantities``, called with quantities of ``columns`` by
             name, each (n, k) in SI or rpm, in the log's frames.
-        read: ``(path) -> columns``, each (n,) by name, for files that are no CSV tables; None reads
-            a CSV file.
+        read: ``(path) -> columns``, each (n,) by name, or a ``LogTable`` of them, for files that
+            are no CSV tables; None reads a CSV file.
     """
 
     columns: Mapping[str, list[str]]
@@ -109,7 +110,7 @@ class LogFormat:
     poles_setting: str = ""
     settings: bool = False
     adjust: Callable[[Quantities, Mapping[str, str]], Quantities] | None = None
-    read: Callable[[Path], Mapping[str, np.ndarray]] | None = None
+    read: Callable[[Path], Mapping[str, np.ndarray] | LogTable] | None = None
 
 
 def names(pattern: str, suffixes: str = "xyz") -> list[str]:

@@ -6,7 +6,7 @@ Rows are numbered as in an editor: the first row is row 1.
 import csv
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,16 @@ class LogTable:
     settings: Mapping[str, str] = field(default_factory=dict)  # of the log's head
     first_row: int | None = None  # row of the first sample in the file; None for no rows
     cut_row: int | None = None  # the last row of the file, left out: no line break ends it
+    left_out: tuple[str, ...] = ()  # what else the file has that a reader leaves out
+    causes: Mapping[int, str] = field(default_factory=dict)  # of gaps, by the sample after them
+
+    def rows(self, rows: slice) -> "LogTable":
+        """Some consecutive rows."""
+        start = rows.start or 0
+        columns = {name: values[rows] for name, values in self.columns.items()}
+        first = None if self.first_row is None else self.first_row + start
+        causes = {index - start: cause for index, cause in self.causes.items()}
+        return replace(self, columns=columns, first_row=first, causes=causes)
 
     def error(self, index: int, columns: str, problem: str) -> InputError:
         """A problem of some columns at a sample, with its place in the file."""

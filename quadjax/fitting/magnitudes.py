@@ -45,7 +45,8 @@ def check_time(log: LogTable, names: Names, quantities: Quantities, config: Logs
     if fault is not None:
         raise log.error(fault[0], column, fault[1])
     if fault := time_fault(time, max(config.max_gap, 2.5 * usual)):
-        raise log.error(fault[0], column, f"{fault[1]} (logs.max_gap)")
+        cause = log.causes.get(fault[0], "")
+        raise log.error(fault[0], column, f"{fault[1]}{cause} (logs.max_gap)")
     if seconds < config.min_seconds:
         problem = f"the file ends after {seconds:.3g} s, expected at least {config.min_seconds:g} s"
         raise log.error(last, column, problem)

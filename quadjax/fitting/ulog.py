@@ -3,13 +3,17 @@
 The topics have their own clocks. Everything is brought to the clock of the body rates: measurements
 by interpolation, commands by their last value. Velocity and position are logged at 10 Hz: between
 their samples the accelerometer is integrated. A topic slower than 20 Hz, or 8 Hz for these, is
-rejected. Without ``sensor_combined``, ``vehicle_acceleration`` is read. ``SDLOG_PROFILE`` has to be
+rejected; ``esc_status`` is left out, and the motors are fitted by their effect. Times at which a
+topic has a longer gap are left out (``logs.max_gap``). Of several instances of a topic the first is
+read. Without ``sensor_combined``, ``vehicle_acceleration`` is read. ``SDLOG_PROFILE`` has to be
 17, the profiles "default" and "high rate" together. The profile "default" alone logs the commands
 at 10 Hz; "high rate" alone logs no position.
 """
 
 import contextlib
 import io
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from quadjax.core.contents import ULOG, ULOG_MAGIC, check_kind
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file
-from quadjax.fitting.log_table import continuous, interpolated, time_fault
+from quadjax.fitting.log_table import LogTable, continuous, interpolated, time_fault
 from quadjax.vehicle.airframe import GRAVITY
 
 MAX_GAP = 0.05  # s, between samples of a topic
@@ -45,39 +49,66 @@ SOURCES = {  # topic and fields by quantity; fields of another topic in place of
     "rpm": ("esc_status", COLUMNS["rpm"]),
     "motor_command": (HELD, COLUMNS["motor_command"]),
 }
+ESC = "esc_status"
+MOST_MOTORS = 12  # of a topic
+STALE = 3  # samples at the start of a topic that may be of long before
 OTHER = ("vehicle_acceleration", COLUMNS["gyro"])  # of the acceleration
+Fields = dict[str, np.ndarray]  # of a topic, each (n,)
 Series = tuple[np.ndarray, np.ndarray]  # times (n,), us, and values (n, k)
 
 
-def read_ulog(path: Path) -> dict[str, np.ndarray]:
+def read_ulog(path: Path) -> LogTable:
     """Columns (n,) of a ULog file, at the times of ``vehicle_angular_velocity``.
 
     Raises:
-        InputError: pyulog is not installed, the file cannot be read, a topic is missing, slow or
-            has a gap.
+        InputError: pyulog is not installed, the file cannot be read, a topic is missing or slow.
     """
     check_file(path)
     check_kind(path, ULOG, ULOG)
-    topics = _topics(path)
+    topics, left_out = _topics(path)
     if CLOCK not in topics:
         raise InputError(f"{path}: no topic {CLOCK} (SDLOG_PROFILE=17 logs it)")
+    if len(topics) == 1:
+        expected = SOURCES["acceleration"][0]
+        raise InputError(f"{path}: no topic other than {CLOCK}, expected at least {expected}")
+    if HELD not in topics and ESC not in topics:
+        raise InputError(f"{path}: no topic {HELD} or {ESC} (SDLOG_PROFILE=17 logs them)")
     sources = dict(SOURCES)
     if SOURCES["acceleration"][0] not in topics:
         sources["acceleration"] = OTHER
+    if ESC in topics and HELD in topics and (usual := _usual(topics[ESC])) > MAX_GAP:
+        left_out.append(f"topic {ESC} (a sample every {usual:.2g} s, allowed: {MAX_GAP:g} s)")
+        del topics[ESC]
     series = {
-        quantity: _series(path, topics[topic], topic, fields)
+        quantity: _series(path, topics[topic], topic, _fields(topics[topic], quantity, fields))
         for quantity, (topic, fields) in sources.items()
         if topic in topics
     }
-    if len(series) == 1:
-        expected = SOURCES["acceleration"][0]
-        raise InputError(f"{path}: no topic other than {CLOCK}, expected at least {expected}")
+    clock = _common_clock(path, series)
+    columns = {"timestamp": clock - clock[0]}
+    at_clock = _at_clock(clock, series)
+    for quantity, (topic, fields) in sources.items():
+        if quantity in at_clock:
+            known = dict(zip(fields, COLUMNS[quantity], strict=True))
+            names = _fields(topics[topic], quantity, fields)
+            values = zip(names, at_clock[quantity].T, strict=True)
+            columns |= {known.get(name, name): column for name, column in values}
+    return _without_gaps(path, columns, clock, series, sources, left_out)
+
+
+def _common_clock(path: Path, series: dict[str, Series]) -> np.ndarray:
+    """Times (n,), us, of the body rates at which there are all other series."""
     first = max(time[0] for time, _ in series.values())
     last = min(time[-1] for time, _ in series.values())
     clock = series["gyro"][0]
     clock = clock[(clock >= first) & (clock <= last)]
     if not len(clock):
         raise InputError(f"{path}: the topics have no time in common")
+    return clock
+
+
+def _at_clock(clock: np.ndarray, series: dict[str, Series]) -> dict[str, np.ndarray]:
+    """All quantities (n, k) at times (n,), us."""
     at_clock = {}
     for quantity, (time, values) in series.items():
         if quantity == "motor_command":
@@ -85,11 +116,31 @@ def read_ulog(path: Path) -> dict[str, np.ndarray]:
         else:
             values = continuous(values) if quantity == "quaternion" else values
             at_clock[quantity] = interpolated(clock, time, values)
-    at_clock |= _integrated(clock, at_clock, series)
-    columns = {"timestamp": clock - clock[0]}
-    for quantity, values in at_clock.items():
-        columns |= dict(zip(COLUMNS[quantity], values.T, strict=True))
-    return columns
+    return at_clock | _integrated(clock, at_clock, series)
+
+
+def _without_gaps(
+    path: Path,
+    columns: dict[str, np.ndarray],
+    clock: np.ndarray,
+    series: dict[str, Series],
+    sources: Mapping[str, tuple[str, list[str]]],
+    left_out: Sequence[str],
+) -> LogTable:
+    """The log without times at which a topic has a gap, and the topics of its gaps."""
+    kept = np.ones(len(clock), bool)
+    ends: dict[float, str] = {}  # topics by the first time after a gap, us
+    for quantity, (time, _) in series.items():
+        topic = sources[quantity][0]
+        steps = 1e-6 * np.diff(time)
+        for gap in np.flatnonzero(steps > _longest(topic, float(np.median(steps)))):
+            kept &= (clock <= time[gap]) | (clock >= time[gap + 1])
+            ends.setdefault(float(time[gap + 1]), topic)
+    causes: dict[int, str] = {}
+    for end, topic in ends.items():
+        causes.setdefault(int(kept[clock < end].sum()), f" in topic {topic}")
+    columns = {name: values[kept] for name, values in columns.items()}
+    return LogTable(str(path), columns, left_out=tuple(left_out), causes=causes)
 
 
 def _integrated(
@@ -114,8 +165,8 @@ def _integrated(
     return result
 
 
-def _topics(path: Path) -> dict[str, dict[str, np.ndarray]]:
-    """The fields of every topic that is used, of its first instance."""
+def _topics(path: Path) -> tuple[dict[str, Fields], list[str]]:
+    """The fields of every topic that is used, of its first instance, and names of the others."""
     try:
         from pyulog import ULog
     except ImportError:
@@ -131,19 +182,53 @@ def _topics(path: Path) -> dict[str, dict[str, np.ndarray]]:
         raise InputError(f"{path}: two ULog files in one, expected one log in a file")
     if log.file_corruption:
         raise InputError(f"{path}: a ULog file with damaged messages, expected a whole one")
-    return {data.name: data.data for data in log.data_list if data.multi_id == 0}
+    topics: dict[str, Fields] = {}
+    others = []
+    for data in sorted(log.data_list, key=lambda data: data.multi_id):
+        if data.name in topics:
+            others.append(f"topic {data.name}, instance {data.multi_id}")
+        topics.setdefault(data.name, data.data)
+    return topics, others
 
 
-def _series(path: Path, data: dict[str, np.ndarray], topic: str, fields: list[str]) -> Series:
-    """The samples of some fields of a topic."""
+def _fields(data: Fields, quantity: str, fields: list[str]) -> list[str]:
+    """The fields of a quantity, and those of further motors that are used."""
+    if quantity not in ("rpm", "motor_command"):
+        return fields
+    first, second = re.split(r"\d+", fields[0], maxsplit=1)
+    further = [f"{first}{index}{second}" for index in range(len(fields), MOST_MOTORS)]
+    return [*fields, *(name for name in further if name in data and np.any(data[name] > 0))]
+
+
+def _usual(data: Fields) -> float:
+    """Usual time between the samples of a topic, s."""
+    time = _times(data)
+    return float(np.median(np.diff(time))) * 1e-6 if len(time) > 1 else 0.0
+
+
+def _times(data: Fields) -> np.ndarray:
+    return np.asarray(data.get("timestamp_sample", data["timestamp"]), np.float64)
+
+
+def _longest(topic: str, usual: float) -> float:
+    """The longest step between samples of a topic that is no gap, s, by the usual one."""
+    step = MAX_STEP if topic == SLOW else MAX_GAP
+    return step if usual > step else max(step, 2.5 * usual)
+
+
+def _series(path: Path, data: Fields, topic: str, fields: list[str]) -> Series:
+    """The samples of some fields of a topic, without old ones at the start."""
     for name in fields:
         if name not in data:
             raise InputError(f"{path}: topic {topic} has no field {name!r}")
-    time = np.asarray(data.get("timestamp_sample", data["timestamp"]), np.float64)
-    step = MAX_STEP if topic == SLOW else MAX_GAP
-    usual = float(np.median(np.diff(time))) * 1e-6 if len(time) > 1 else 0.0
-    longest = step if usual > step else max(step, 2.5 * usual)
-    if fault := time_fault(1e-6 * time, longest):
+    time, usual = _times(data), _usual(data)
+    longest, start = _longest(topic, usual), 0
+    while start < min(STALE, len(time) - 2) and time[start + 1] - time[start] > 1e6 * longest:
+        start += 1
+    slow = usual > longest
+    if fault := time_fault(1e-6 * time[start:], longest if slow else np.inf):
         row, problem = fault
-        raise InputError(f"{path}: topic {topic}, sample {row}: {problem} (SDLOG_PROFILE=17)")
-    return time, np.stack([np.asarray(data[name], np.float64) for name in fields], axis=1)
+        hint = " (SDLOG_PROFILE=17)" * slow
+        raise InputError(f"{path}: topic {topic}, sample {start + row}: {problem}{hint}")
+    values = np.stack([np.asarray(data[name], np.float64) for name in fields], axis=1)
+    return time[start:], values[start:]

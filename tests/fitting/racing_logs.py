@@ -164,14 +164,25 @@ def ulog_topics(flight):
     }
 
 
-def write_ulog(path, flight, topics):
-    """A ULog file: header, flag bits, formats, subscriptions and data in the order of time."""
+def write_ulog(path, flight, topics, lost=None, instances=None):
+    """A ULog file: header, flag bits, formats, subscriptions and data in the order of time.
+
+    Args:
+        path: of the file.
+        flight: that is written.
+        topics: as of ``ulog_topics``.
+        lost: by topic, the times between which it has no samples.
+        instances: by topic, if not the first alone; the same data for all.
+    """
+    lost, instances = lost or {}, instances or {}
+    every = [(name, i) for name in topics for i in instances.get(name, [0])]
 
     def message(kind, body):
         return struct.pack("<HB", len(body), ord(kind)) + body
 
     data, head, subscriptions = [], [], []
-    for number, (topic, (rate, fields)) in enumerate(topics.items()):
+    for number, (topic, instance) in enumerate(every):
+        (rate, fields), silent = topics[topic], lost.get(topic, (np.inf, np.inf))
         names, columns = [], []
         for name, values in fields.items():
             values = np.asarray(values)
@@ -181,13 +192,16 @@ def write_ulog(path, flight, topics):
             columns += [(kind, column) for column in np.atleast_2d(values.T)]
         if topic == "esc_status":  # a nested message, as in PX4
             head.append(message("F", b"esc_report:int32_t esc_rpm;"))
-            names = ["esc_report[4] esc"]
+            names = [f"esc_report[{len(fields)}] esc"]
         text = f"{topic}:uint64_t timestamp;{';'.join(names)};"
-        head.append(message("F", text.encode()))
-        subscriptions.append(message("A", struct.pack("<BH", 0, number) + topic.encode()))
+        if instance == instances.get(topic, [0])[0]:
+            head.append(message("F", text.encode()))
+        subscriptions.append(message("A", struct.pack("<BH", instance, number) + topic.encode()))
         step = round(RATE / rate)
         codes = "<HQ" + "".join("i" if kind == "int32_t" else "f" for kind, _ in columns)
         for row in range(0, len(flight["time"]), step):
+            if silent[0] < flight["time"][row] < silent[1]:
+                continue
             time = int(flight["time"][row] * 1e6) + 10_000_000
             numbers = [int(round(c[row])) if k == "int32_t" else c[row] for k, c in columns]
             data.append((time, number, message("D", struct.pack(codes, number, time, *numbers))))

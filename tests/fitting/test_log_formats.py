@@ -303,6 +303,80 @@ def test_drones_of_more_than_four_motors_are_refused(name, short, tmp_path):
     assert log.source["left_out"] == [f"{name}[4]", f"{name}[5]"]
 
 
+@pytest.fixture
+def ulog(short, tmp_path):
+    """A function that writes and reads a ULog file of some topics with other instances or times."""
+    pytest.importorskip("pyulog", reason="ULog files need pyulog, the extra px4")
+
+    def read(changed, max_gap=0.05, **options):
+        topics = {k: v for k, v in (racing_logs.ulog_topics(short) | changed).items() if v}
+        racing_logs.write_ulog(tmp_path / "flight.ulg", short, topics, **options)
+        return read_log(tmp_path / "flight.ulg", LogsConfig(format="ulog", max_gap=max_gap))
+
+    return read
+
+
+def test_commands_of_a_disarmed_px4_are_trimmed(ulog, short):
+    rate, fields = racing_logs.ulog_topics(short)["actuator_motors"]
+    control = fields["control"].copy()
+    control[:100] = control[-200:] = np.nan
+    whole, log = ulog({}), ulog({"actuator_motors": (rate, {"control": control})})
+    assert len(whole.time) - len(log.time) == pytest.approx(300, abs=55)
+    np.testing.assert_allclose(log["motor_command"][0], whole["motor_command"][100])
+    control[1000] = np.nan
+    with pytest.raises(InputError, match=r"sample 900, column 'control\[2\]' is nan"):
+        ulog({"actuator_motors": (rate, {"control": control})})
+
+
+def test_slow_telemetry_of_px4_is_left_out(ulog, short):
+    """Speed controllers that report at 4 Hz: the motors are fitted by their effect."""
+    _, fields = racing_logs.ulog_topics(short)["esc_status"]
+    log = ulog({"esc_status": (4, fields)})
+    assert "actuators" not in log.signals and "motor_command" in log.signals
+    assert log.source["left_out"] == ["topic esc_status (a sample every 0.25 s, allowed: 0.05 s)"]
+
+
+def test_a_dropout_of_a_topic_is_a_gap_of_the_log(ulog):
+    """Of 120 ms; a first sample of 0.2 s before the others is no gap."""
+    lost = {"lost": {"sensor_combined": (2.0, 2.12)}}
+    with pytest.raises(InputError) as caught:
+        ulog({}, **lost)
+    line = str(caught.value)
+    assert "a gap of 0.12" in line and "in topic sensor_combined (logs.max_gap)" in line
+    log = ulog({}, 0.2, **lost)
+    assert log.source["gaps"] == pytest.approx([0.124], abs=0.005)
+    assert not log.flying[(log.time > 1.95) & (log.time < 2.15)].any()
+    late = ulog({}, lost={"vehicle_attitude": (0.003, 0.2)})
+    assert not late.source["gaps"] and late.flying.all()
+
+
+def test_other_instances_of_a_topic_are_read_or_named(ulog):
+    whole = ulog({})
+    only = ulog({}, instances={"sensor_combined": [1]})
+    np.testing.assert_array_equal(only["specific_force"], whole["specific_force"])
+    both = ulog({}, instances={"vehicle_angular_velocity": [0, 2]})
+    np.testing.assert_array_equal(both["rates"], whole["rates"])
+    assert both.source["left_out"] == ["topic vehicle_angular_velocity, instance 2"]
+
+
+@pytest.mark.parametrize("topic", ["actuator_motors", "esc_status"])
+def test_six_motors_of_px4_are_refused(topic, ulog, short):
+    rate, fields = racing_logs.ulog_topics(short)[topic]
+    if topic == "esc_status":
+        fields = fields | {f"esc[{i}].esc_rpm": fields["esc[0].esc_rpm"] for i in (4, 5)}
+    else:
+        control = fields["control"].copy()
+        control[:, 4:6] = control[:, :2]
+        fields = {"control": control}
+    with pytest.raises(InputError, match=r"\[4\].*\[5\].* of more than four motors"):
+        ulog({topic: (rate, fields)})
+
+
+def test_a_ulog_file_without_motors_names_the_topics(ulog):
+    with pytest.raises(InputError, match="no topic actuator_motors or esc_status"):
+        ulog({"actuator_motors": None, "esc_status": None})
+
+
 @pytest.fixture(scope="module")
 def pieces(short, tmp_path_factory):
     """Two flights, and a part of the first, as logs without rotor speeds (tii) and with them."""
