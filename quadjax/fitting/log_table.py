@@ -4,6 +4,7 @@ Rows are numbered as in an editor: the first row is row 1.
 """
 
 import csv
+import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,6 +19,8 @@ from quadjax.core.files import check_file
 MAX_BYTES = 2**30  # of one log: hours of flight
 MAX_SETTINGS = 2000  # rows of settings before the header
 ANOTHER = "begins another log, expected one log in a file: split it there"
+SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", " ": "spaces"}
+FEWEST = 9  # separators in a row of names: of time, rotor speeds or commands, rates and forces
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,7 @@ def read_head(path: Path | str, settings: bool = False) -> tuple[list[str], dict
     head: list[list[str]] = []
     with reading(path), open(path, encoding="utf-8-sig") as stream:
         for line in stream:
+            _check_separators(path, len(head) + 1, line)
             head.append(_cells(path, line))
             if not settings or len(head[-1]) > 2 or len(head) > MAX_SETTINGS:
                 break
@@ -72,6 +76,27 @@ def read_head(path: Path | str, settings: bool = False) -> tuple[list[str], dict
         raise InputError(f"{path}: row {last} is empty, expected the names of the columns")
     values = {cells[0]: ",".join(cells[1:]).strip() for cells in head[:-1] if any(cells)}
     return head[-1], values, len(head)
+
+
+def _check_separators(path: Path | str, row: int, line: str) -> None:
+    """Refuse a row of the head whose columns are separated by something other than commas."""
+    for separator, name in SEPARATORS.items():
+        if line.strip().count(separator) >= FEWEST and "," not in line:
+            raise InputError(
+                f"{path}: row {row} has columns separated by {name}, allowed: commas, and numbers "
+                "with a decimal point"
+            )
+
+
+def missing(name: str, present: Sequence[str]) -> str:
+    """That a column is missing, with one that differs by case, spaces or a unit, for a message."""
+
+    def plain(text: str) -> str:
+        return re.sub(r"\(.*\)|\s", "", text).casefold()
+
+    near = [other for other in present if plain(other) == plain(name)]
+    similar = f"; there is {near[0]!r} (logs.columns, logs.units)" if near else ""
+    return f"column {name!r} is missing{similar}"
 
 
 def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> LogTable:
@@ -83,11 +108,11 @@ def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> 
         InputError: no such file or column, an empty row, or a cell that is no number.
     """
     header, header_settings, start = read_head(path, settings)
-    first, _, _ = read_head(path)
     for name in names:
         if header.count(name) != 1:
-            problem = "is missing" if name not in header else "is there twice"
-            raise InputError(f"{path}: row {start}, column {name!r} {problem}")
+            twice = f"column {name!r} is there twice"
+            problem = twice if name in header else missing(name, header)
+            raise InputError(f"{path}: row {start}, {problem}")
     places = {name: header.index(name) for name in names}
     row, line, cut_row = 0, "", None
 
@@ -126,8 +151,9 @@ def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> 
         except (InputError, UnicodeDecodeError):
             raise
         except ValueError as error:
-            again = _cells(path, line) in (header, first)
-            problem = f" {ANOTHER}" if again else _fault(path, line, places, error)
+            cells = _cells(path, line)
+            another = cells == header or set(cells[:1]) & header_settings.keys()
+            problem = f" {ANOTHER}" if another else _fault(cells, places, error)
             raise InputError(f"{path}: row {row}{problem}") from None
     columns = table.reshape(-1, len(names)).T
     by_name = dict(zip(names, columns, strict=True))
@@ -142,9 +168,8 @@ def _cells(path: Path | str, line: str) -> list[str]:
         raise InputError(f"{path}: {line[:40]!r} is no row of CSV text ({error})") from None
 
 
-def _fault(path: Path | str, line: str, places: Mapping[str, int], error: ValueError) -> str:
+def _fault(cells: Sequence[str], places: Mapping[str, int], error: ValueError) -> str:
     """The first cell of a row that is not a number, for a message."""
-    cells = _cells(path, line)
     for name, place in places.items():
         if place >= len(cells):
             return f", column {name!r} is missing: the row has {len(cells)} cells"
@@ -153,6 +178,13 @@ def _fault(path: Path | str, line: str, places: Mapping[str, int], error: ValueE
         except ValueError:
             return f", column {name!r} is {cells[place]!r:.80}, expected a number"
     return f" is not readable as CSV text ({short(str(error), 200, str)})"
+
+
+def unwrapped(stamps: np.ndarray) -> np.ndarray:
+    """Time stamps (n,) in the log's unit without the wraps of a counter of 32 bits."""
+    steps = np.diff(stamps, prepend=stamps[:1])
+    wraps = (steps < 0.0) & (steps + 2.0**32 > 0.0) & (steps < -(2.0**31))
+    return stamps + 2.0**32 * np.cumsum(wraps)
 
 
 def time_fault(time: np.ndarray, longest: float) -> tuple[int, str] | None:

@@ -21,7 +21,7 @@ from quadjax.fitting.formats import (
     Quantities,
     numbers_of,
 )
-from quadjax.fitting.log_table import LogTable, continuous, interpolated
+from quadjax.fitting.log_table import LogTable, continuous, interpolated, missing, unwrapped
 
 NUMBER = re.compile(r"\d+(?=\D*$)")  # the last one of a name
 BRIDGED = 0.02  # s, of gaps in which a straight line takes the place of the signals
@@ -99,7 +99,7 @@ def quantities_of(
         columns = []
         for name in group:
             if name not in table.columns:
-                raise InputError(f"{path}: column {name!r} is missing")
+                raise InputError(f"{path}: {missing(name, list(table.columns))}")
             columns.append(values := np.asarray(table.columns[name], np.float64))
             length = len(result.get("time", columns[0]))
             if values.shape != (length,):
@@ -109,6 +109,8 @@ def quantities_of(
             for row in np.flatnonzero(~np.isfinite(values))[:1]:
                 problem = f" is {values[row]}, expected a finite number"
                 raise table.error(row, repr(name), problem)
+        if quantity == "time":
+            columns = [unwrapped(columns[0])]
         values = np.stack(columns, axis=1) * unit_of(quantity, group, table, config, form)[1]
         if quantity == "motor_command":
             low, high = config.motor_range or _motor_range(path, form, table.settings)

@@ -159,6 +159,9 @@ LINES = {  # what the line says: the changed columns
         f"rpm_obs_{i}": c[f"rpm_obs_{4 - i}"] for i in (1, 3)
     },
     "column 'vel_z' 97 times too large .*logs.units": lambda c: times(c, 100.0, "vel_z"),
+    "columns 'pos_x', 'pos_y', 'pos_z' 956 times too large .*logs.units": lambda c: times(
+        c, 1000.0, *PAPARAZZI["position"]
+    ),
     "column 'rate_q' 0.206 s late": lambda c: late(c, "rate_q"),
     "columns 'ekf_U1', 'ekf_U2' rotated by 45 deg": lambda c: turned(
         c, "ekf_U1", "ekf_U2", np.radians(45.0)

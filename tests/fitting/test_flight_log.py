@@ -241,3 +241,54 @@ def test_constants_do_not_depend_on_a_bridged_gap(bebop):
     ]
     taus = [lag.constants["tau"] for lag in lags]
     assert abs(taus[1] - taus[0]) < 2.0 * lags[1].errors["tau"]
+
+
+def test_a_counter_of_32_bits_may_wrap(columns):
+    """Time stamps in us from 2^32 us on begin at zero again."""
+    config = PAPARAZZI.replace(units=UnitsConfig(time="us"))
+    stamps = np.rint(1e6 * columns["time"]) + 2.0**32 - 2e6
+    whole, wrapped = (
+        log_of_columns(columns | {"time": time}, config, "flight")
+        for time in (stamps, stamps % 2.0**32)
+    )
+    np.testing.assert_array_equal(wrapped.time, whole.time)
+    np.testing.assert_array_equal(wrapped["rates"], whole["rates"])
+
+
+def _with_unit(text):
+    return text.replace("rate_p,", "Rate_P (rad/s),", 1)
+
+
+TABLES = {  # changed text of a log, and words of the line
+    "tabs": (lambda text: text.replace(",", "\t"), "row 1", "separated by tabs", "commas"),
+    "semicolons": (
+        lambda text: text.replace(",", ";").replace(".", ","),
+        *("row 1", "separated by semicolons", "decimal point"),
+    ),
+    "spaces": (lambda text: text.replace(",", " "), "row 1", "separated by spaces"),
+    "two logs": (lambda text: text + text, "row 1002 begins another log, expected one log in a file"),
+    "a unit in the name": (_with_unit, "'rate_p' is missing; there is 'Rate_P (rad/s)' (logs."),
+}
+
+
+@pytest.mark.parametrize("case", TABLES)
+def test_tables_of_another_form_are_one_line(case, tmp_path, columns):
+    change, *words = TABLES[case]
+    path = _write(tmp_path, columns)
+    path.write_text(change(path.read_text()))
+    refused(path, "paparazzi", *words)
+
+
+@pytest.mark.parametrize(
+    ("change", "never"),
+    [
+        (lambda c: _poke(c, "time", 20, 0.0), "logs."),
+        (lambda c: _poke(c, "time", 20, c["time"][19]), "logs."),
+        (lambda c: _times(c, 1e5, "rate_p"), "logs."),
+    ],
+)
+def test_no_key_is_named_that_would_change_nothing(change, never, columns):
+    config = PAPARAZZI.replace(units=UnitsConfig(gyro="deg/s"))
+    with pytest.raises(InputError) as caught:
+        log_of_columns(columns | change(columns), config, "flight")
+    assert never not in str(caught.value)

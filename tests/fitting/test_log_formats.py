@@ -145,6 +145,23 @@ def test_bad_blackbox_columns_are_one_line(case, short, tmp_path):
     refused(tmp_path / "bad.csv", "blackbox", word)
 
 
+def test_two_blackbox_logs_in_one_file_are_one_line(short, tmp_path):
+    path = tmp_path / "flights.csv"
+    racing_logs.write_blackbox(path, racing_logs.blackbox_columns(short))
+    path.write_text(2 * path.read_text())
+    refused(path, "blackbox", "row 2505 begins another log")
+
+
+def test_a_log_that_is_too_slow_to_fit_names_its_file_and_rate(short, tmp_path):
+    """It can be read: 25 Hz are no fault of a replay."""
+    path = tmp_path / "slow.csv"
+    part = {name: values[::20] for name, values in short.items()}
+    racing_logs.write_blackbox(path, racing_logs.blackbox_columns(part))
+    logs = {"files": [str(path)], "format": "blackbox"}
+    with pytest.raises(InputError, match=r"slow.csv: a sample rate of 25 Hz .* above 32 Hz"):
+        fit(FitConfig(vehicle="5inch.yaml", logs=logs))
+
+
 def test_settings_of_the_log_scale_its_columns(short, tmp_path):
     columns = racing_logs.blackbox_columns(short)
     expected = tmp_path / "flight.csv"
