@@ -22,6 +22,7 @@ from quadjax.evaluation.table import Table, interval_text, lap_table
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import race_config
 from quadjax.policy.file import Policy
+from quadjax.policy.race import differences, race_of_policy, warn_of_other_race
 
 PARTS = ("table", "plants")
 FILES = ("table.txt", "compare.json", "config.yaml", "report/*")
@@ -30,19 +31,48 @@ WORLDS = SIMULATED, ON_PLANT = "simulated", "stand-in plant"
 Progress = Callable[[str], object]
 
 
-def check_policies(files: Mapping[str, Path]) -> None:
-    """Raise an ``InputError`` for a policy of another vehicle than ``KINDS`` has for its name."""
+@dataclasses.dataclass(frozen=True)
+class Contender:
+    """A policy, and the race that it flies."""
+
+    file: Path
+    policy: Policy
+    race: Config  # its vehicle is the model on board
+
+    @property
+    def drone(self) -> Vehicle:
+        """The vehicle that flies, with the constants of the policy's training."""
+        return race_config(self.race, self.policy).vehicle
+
+
+def contenders(files: Mapping[str, Path], race: Config | None = None) -> dict[str, Contender]:
+    """The policies by the names of ``KINDS``, in one race, or each in that of its training.
+
+    Raises:
+        InputError: a policy of another vehicle model than ``KINDS`` has for its name, or own races
+            with another track or other rules.
+    """
+    found: dict[str, Contender] = {}
     for name, file in files.items():
-        vehicle = Policy.load(file).vehicle
-        if vehicle != KINDS[name]:
+        policy = Policy.load(file, race)
+        if policy.vehicle != KINDS[name]:
             expected = f"expected {KINDS[name]} for --{name.lower()}"
-            raise InputError(f"{file}: a policy for the {vehicle} vehicle, {expected}")
+            raise InputError(f"{file}: a policy for the {policy.vehicle} vehicle, {expected}")
+        flown, _ = race_of_policy(policy, file, race)
+        found[name] = Contender(file, policy, flown)
+        warn_of_other_race(policy, flown, file)
+    first, second = found.values()
+    for key, there, here in differences(first.race, second.race, ("track", "rules")):
+        raise InputError(
+            f"{key} is {there} in the race of {first.file}, {here} in that of {second.file}; "
+            "allowed: policies of one race, or the race of both (config=CONFIG)"
+        )
+    return found
 
 
 @single_precision
 def compare(
-    files: Mapping[str, Path],
-    race: Config,
+    entered: Mapping[str, Contender],
     plant: PlantConfig,
     protocol: Mapping[str, Any],
     conditions: Conditions,
@@ -54,8 +84,7 @@ def compare(
     """Fly the parts, write ``FILES`` to a folder, and return the tables as text.
 
     Args:
-        files: of the policies, by the names of ``KINDS``.
-        race: its vehicle is the model on board.
+        entered: the policies, by the names of ``KINDS``.
         plant: the stand-in plant.
         protocol: laps, runs, seed and deterministic, arguments of ``evaluate``.
         conditions: of the part "plants".
@@ -68,27 +97,28 @@ def compare(
         InputError: policies that do not fit, or files that cannot be read.
     """
     texts: list[str] = []
-    origin = provenance(plant, seed=protocol["seed"]) | {"race": provenance(race)["config"]}
+    races = {name: provenance(each.race)["config"] for name, each in entered.items()}
+    origin = provenance(plant, seed=protocol["seed"]) | {"races": races}
     keys = ("runs", "laps", "deterministic")
     result: dict[str, Any] = {key: protocol[key] for key in keys} | {"provenance": origin}
     if "table" in parts:
-        flown = fly_worlds(files, race, plant, protocol, report)
+        flown = fly_worlds(entered, plant, protocol, report)
         report("drawing")
-        texts.append(table_text(race.vehicle, flown))
-        for name, file in files.items():
+        texts.append(table_text(entered["E2E"].drone, flown))
+        for name, each in entered.items():
             simulated, on_plant = (flown[f"{name} {world}"] for world in WORLDS)
             result[name] = {
-                "policy": file_record(str(file)),
+                "policy": file_record(str(each.file)),
                 SIMULATED: simulated.laps.to_json(),
                 ON_PLANT: on_plant.laps.to_json(),
-                "commands at a limit": limit_fraction(race.vehicle, on_plant),
-                "commands at a limit, simulated": limit_fraction(race.vehicle, simulated),
+                "commands at a limit": limit_fraction(each.drone, on_plant),
+                "commands at a limit, simulated": limit_fraction(each.drone, simulated),
             }
         groups = {
             label: [f.replace(name=str(run)) for run, f in enumerate(result.flights[:RECORDED], 1)]
             for label, result in flown.items()
         }
-        drawn = Report(groups, race)
+        drawn = Report(groups, entered["E2E"].race)
         drawn.write(folder / "report")
         result["rms error to the first-order response"] = {
             label: [
@@ -102,8 +132,7 @@ def compare(
         options = dict(protocol) | {"plant": plant, "plants": plants, "progress": report}
         options["conditions"] = conditions.replace(deterministic=protocol["deterministic"])
         first, second = (
-            evaluate(Policy.load(file, race), race, name=name, **options)
-            for name, file in files.items()
+            evaluate(each.policy, each.race, name=name, **options) for name, each in entered.items()
         )
         text, result["plants"] = plants_table(first.rows, second.rows)
         texts.append(text)
@@ -115,22 +144,21 @@ def compare(
 
 
 def fly_worlds(
-    files: Mapping[str, Path],
-    race: Config,
+    entered: Mapping[str, Contender],
     plant: PlantConfig,
     protocol: Mapping[str, Any],
     report: Progress,
 ) -> dict[str, Evaluation]:
     """Flights of the policies in the simulator and on the plant, by "POLICY WORLD"."""
     flown = {}
-    for name, file in files.items():
-        policy = Policy.load(file, race)
+    for name, each in entered.items():
         for world, config, drone in (
-            (SIMULATED, race_config(race, policy), None),
-            (ON_PLANT, race, plant),
+            (SIMULATED, race_config(each.race, each.policy), None),
+            (ON_PLANT, each.race, plant),
         ):
             report(f"{name} {world}")
-            result = evaluate(policy, config, name=str(file), plant=drone, **protocol)
+            file = str(each.file)
+            result = evaluate(each.policy, config, name=file, plant=drone, **protocol)
             flown[f"{name} {world}"] = result
     return flown
 

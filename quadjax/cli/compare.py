@@ -22,7 +22,7 @@ def compare(
     *overrides: opt.Overrides,
     e2e: ShippedPolicy = PRETRAINED / "e2e.npz",
     indi: ShippedPolicy = PRETRAINED / "indi.npz",
-    race: Annotated[str, Parameter(metavar="CONFIG")] = "e2e",
+    race: opt.Race = None,
     parts: Annotated[list[Part] | None, opt.LIST] = None,
     conditions: Annotated[list[str] | None, opt.LIST, Parameter(metavar="NAME ...")] = None,
     plants: opt.Plants = 10,
@@ -45,7 +45,9 @@ def compare(
     Args:
         e2e: The policy that commands the motors. Neither default is fitted to the plant.
         indi: The policy that commands thrust and rates.
-        race: Preset or YAML file, whose vehicle is the model on board.
+        race: Preset or YAML file of the race of both, whose vehicle is the model on board
+            (default: for each policy the race that it was trained in, which must have the same
+            track and rules).
         parts: Some of the parts (default: all).
         conditions: Some rows of the part plants, such as 'all effects' 'charge 0.2'
             (default: all).
@@ -68,11 +70,12 @@ def compare(
     if "plants" not in chosen:
         opt.refuse("without the part plants (--parts)", "conditions", "plants")
     plant, listed = load_plant_config(config, overrides), read_conditions("plants", conditions)
-    policies, flown = {"E2E": e2e, "INDI": indi}, load_config(race)
-    comparison.check_policies(policies)
+    contenders = comparison.contenders(
+        {"E2E": e2e, "INDI": indi}, None if race is None else load_config(race)
+    )
     protocol = {"laps": laps, "runs": runs, "seed": seed, "deterministic": not sampled}
     with results(folder, "comparison", comparison.FILES, overwrite) as new, steps() as report:
-        options = (flown, plant, protocol, listed, new, report, chosen, plants)
-        text = comparison.compare(policies, *options)
+        options = (plant, protocol, listed, new, report, chosen, plants)
+        text = comparison.compare(contenders, *options)
     print(text)
     wrote(f"{folder}/ in {time.monotonic() - started:.0f} s")

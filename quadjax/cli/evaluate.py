@@ -10,7 +10,7 @@ from cyclopts import Group, Parameter
 from quadjax.cli import options as opt
 from quadjax.cli.export import Ranges
 from quadjax.cli.output import steps, wrote
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, warn
 from quadjax.core.files import write_json
 from quadjax.core.folders import results
 from quadjax.core.interruptions import loading
@@ -71,7 +71,8 @@ def evaluate(
 
     One policy is evaluated with sampled actions, as the paper does, and with the
     mean action. The files show the sampled runs, or the deterministic ones with
-    --deterministic. Without CONFIG a policy flies the race that it was trained in.
+    --deterministic. Without CONFIG a policy flies the race that it was trained in;
+    a warning says where CONFIG differs from it.
     Several policies, each with its own --policy, are compared in one table; without
     CONFIG and --policy, those that come with the package.
 
@@ -90,9 +91,10 @@ def evaluate(
 
     With --flights, recorded flights are evaluated: states of an earlier --states
     FILE.npz, or flight logs (.csv, a glob pattern for several). DIR gets tables and
-    figures as text, LaTeX, PDF, SVG and PNG. CONFIG is the race that was flown.
+    figures as text, LaTeX, PDF, SVG and PNG. CONFIG is the race of logs (default: e2e);
+    states contain the gates and constants of the race that was flown.
 
-    Example: quadjax evaluate e2e --policy e2e --laps 6 --figures lap
+    Example: quadjax evaluate --policy e2e --laps 6 --figures lap
 
     Args:
         policy: Policy file, folder of a run, or name of a shipped policy; may be repeated.
@@ -119,7 +121,7 @@ def evaluate(
     """
     if flights is not None:
         opt.refuse_others("with --flights", "flights", "logs", "report", "overwrite")
-        return _report(config or "e2e", overrides, flights, logs, report, overwrite)
+        return _report(config, overrides, flights, logs, report, overwrite)
     opt.refuse("without --flights", "logs", "report", "overwrite")
     opt.exclude("laps", "gates", "seconds")
     opt.check_shares(runs, plants)
@@ -130,13 +132,13 @@ def evaluate(
     ranges = opt.by_name("--range", range_)
     files = list(policy or ()) or [PRETRAINED / f"{name}.npz" for name in policy_names()]
     listed = _listed("protocols" if conditions is None and len(files) > 1 else conditions, only)
-    entries = [_entry(file, config, overrides, body) for file in files]
+    entries = [_entry(file, config, overrides) for file in files]
     with loading():
         from quadjax.evaluation.evaluate import evaluate as fly
         from quadjax.evaluation.evaluate import joined
 
     how: dict[str, Any] = {"laps": laps, "gates": gates, "seconds": seconds, "runs": runs}
-    how |= {"start": start, "seed": seed, "plant": plant, "plants": plants}
+    how |= {"start": start, "seed": seed, "plant": plant, "plants": plants, "body_radius": body}
     with steps() as show:
         show("compiling and simulating")
         if listed is None:
@@ -169,12 +171,11 @@ def _listed(name: str | None, only: list[str] | None) -> "Conditions | None":
 
 
 def _entry(
-    path: Path, config: str | None, overrides: Sequence[str], body: float | None
+    path: Path, config: str | None, overrides: Sequence[str]
 ) -> tuple[str, tuple["Policy", "RaceConfig"]]:
-    """The path of a policy file; the policy and the race that it flies, with a drone's radius."""
+    """The path of a policy file; the policy and the race that it flies."""
     with loading():
         from quadjax.config.assembly import race_of
-        from quadjax.config.checks import with_body
         from quadjax.config.loading import load_config
         from quadjax.policy.file import Policy
         from quadjax.policy.pilot import fit_race
@@ -187,7 +188,6 @@ def _entry(
     except InputError as error:
         text = str(error).replace("config=CONFIG", "quadjax evaluate CONFIG")
         raise InputError(text) from None
-    race = race if body is None else with_body(race, body)
     fit_race(*race_of(race), policy, str(path))
     return str(path), (policy, race)
 
@@ -247,7 +247,7 @@ def _write(
 
 
 def _report(
-    config: str,
+    config: str | None,
     overrides: Sequence[str],
     flights: Sequence[str],
     logs: opt.Logs,
@@ -260,9 +260,12 @@ def _report(
     from quadjax.evaluation.report import Report
     from quadjax.sources import load_groups
 
-    race = load_config(config, overrides)
+    race = load_config(config or "e2e", overrides)
     groups = load_groups(flights, race.track, logs.columns() if logs.logs else None)
+    report = Report(groups, race)
+    if config is not None and tuple(report.gates) != race.track.gates:
+        warn(f"the flights are on another track than {race.track.name}, that of {config}")
     with results(folder, "report", REPORT_FILES, overwrite) as new:
-        text = Report(groups, race).write(new)
+        text = report.write(new)
     print(text)
     wrote(f"{folder}/")

@@ -20,7 +20,7 @@ def logs(
     flights: opt.Runs = 4,
     seed: opt.Seed = 0,
     overwrite: opt.Flag = False,
-    race: Annotated[str, Parameter(metavar="CONFIG")] = "e2e",
+    race: opt.Race = None,
     laps: opt.Laps = 6,
 ) -> None:
     """Write flight logs of policies on a simulated drone.
@@ -36,7 +36,7 @@ def logs(
         flights: Number of logs, of each policy.
         seed: Seed of the first flight.
         overwrite: Replace logs of the same names.
-        race: Race of the policies.
+        race: Race of the policies (default: the one that each was trained in).
     """
     with loading():
         from quadjax.config.loading import load_config
@@ -44,7 +44,8 @@ def logs(
         from quadjax.plant.config import load_plant_config
         from quadjax.plant.flights import plan_logs
 
-    drone, config = load_plant_config(plant, overrides), load_config(race)
+    drone = load_plant_config(plant, overrides)
+    config = None if race is None else load_config(race)
     names = [file.stem for file in policy]
     if len(set(names)) < len(names):
         listed = ", ".join(map(str, policy))

@@ -60,7 +60,7 @@ def replay(
         from quadjax.export.race_source import policy_race
         from quadjax.fitting.flight_log import read_log
         from quadjax.policy.file import Policy
-        from quadjax.policy.race import race_of_policy
+        from quadjax.policy.race import race_of_policy, warn_of_other_race
         from quadjax.replay import FILES
         from quadjax.replay import replay as replay_log
 
@@ -72,6 +72,7 @@ def replay(
     if policy is not None:
         network = Policy.load(policy, race)
         drone, origin = race_of_policy(network, policy, race, track)
+        warn_of_other_race(network, drone, policy)
         flown = policy_race(drone, network, origin, str(policy))
     gates = drone and drone.track
     if vehicle is not None:

@@ -158,18 +158,19 @@ def config_of(tree: Tree, source: str | Sources) -> Config:
     return config.with_race_units(written)
 
 
-def stored_config(tree: Tree, file: str) -> Config:
+def stored_config(tree: Tree, file: str, code: Collection[str] = ()) -> Config:
     """The config in a policy file, which may not name code.
 
     Args:
         tree: the config in the file.
         file: the policy file, for messages.
+        code: names ``module:OBJECT`` that it may have, because the user has named them elsewhere.
 
     Raises:
-        InputError: a key or a value that is not allowed, or that names code.
+        InputError: a key or a value that is not allowed, or that names other code.
     """
     source = f"{file}: config"
-    _refuse_code(tree, source)
+    _refuse_code(tree, source, code)
     return config_of(tree, source)
 
 

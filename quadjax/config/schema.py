@@ -111,7 +111,11 @@ class Vehicle(Section):
         if model == self.model:
             return self
         if model not in self.models:
-            raise InputError(f"vehicle.models has no constants for {model}; it has {self.models}")
+            listed, name = ", ".join([self.model, *self.models]), self.name or "the vehicle"
+            raise InputError(
+                f"vehicle.models has no constants for {model}: {name} has constants of {listed}; "
+                "add them to its file"
+            )
         others = {name: values for name, values in self.models.items() if name != model}
         others[self.model] = self.constants
         return self.replace(model=model, constants=self.models[model], models=others, mismatch={})

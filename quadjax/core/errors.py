@@ -11,6 +11,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 INTERRUPTED = 130  # exit status after Ctrl-C
 BAD_INPUT = 2  # exit status after bad input and after system errors
@@ -23,6 +24,37 @@ USER_FILES: set[str] = set()  # of a user's modules that ``core.imports.load_obj
 
 class InputError(ValueError):
     """Bad input: one line that names the file, key, row or value and what is allowed."""
+
+
+class InputWarning(UserWarning):
+    """Input that can be used, but perhaps not as it is meant: one line, as of an ``InputError``."""
+
+
+def warn(text: str) -> None:
+    """Warn in one line, which a command prints on stderr, once for each text."""
+    warnings.warn(text, InputWarning, stacklevel=1)
+
+
+@contextlib.contextmanager
+def _printed_warnings() -> Iterator[None]:
+    """Print each ``InputWarning`` in the block as one line on stderr."""
+    with warnings.catch_warnings():
+        show = warnings.showwarning
+
+        def print_line(
+            message: Warning | str, category: type[Warning], *rest: Any, **named: Any
+        ) -> None:
+            if issubclass(category, InputWarning):
+                print(f"warning: {as_options(str(message))}", file=sys.stderr)
+            else:
+                show(message, category, *rest, **named)
+
+        warnings.showwarning = print_line
+        # JAX compiles where its cache cannot be read or written, which needs no message.
+        cache = "Error (reading|writing) persistent compilation cache entry"
+        warnings.filterwarnings("ignore", cache)
+        warnings.simplefilter("default", InputWarning)
+        yield
 
 
 def short(value: object, limit: int = 60, text: Callable[[object], str] = repr) -> str:
@@ -91,10 +123,9 @@ def run_command(main: Callable[[], int | None]) -> int:
     stderr. Every other exception is a fault of the program, or of a user's own module, and is
     raised with its traceback.
     """
-    # JAX compiles where its cache cannot be read or written, which needs no message.
-    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache entry")
     try:
-        status = main()
+        with _printed_warnings():
+            status = main()
         if sys.stdout is not None:  # None if the caller has closed it
             sys.stdout.flush()
         return status or 0

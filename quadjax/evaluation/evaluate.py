@@ -28,13 +28,14 @@ from quadjax.flights.flight import Flight, distinct, fastest, numbered
 from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
+from quadjax.policy.race import race_of_policy, warn_of_other_race
 from quadjax.race.laps import Actor, Laps
 
 
 @single_precision
 def evaluate(
     policy: Policy | Path | str,
-    config: Config | Path | str,
+    config: Config | Path | str | None = None,
     *,
     runs: int | None = None,
     laps: int | None = None,
@@ -58,7 +59,8 @@ def evaluate(
 
     Args:
         policy: a policy, or the path of its file.
-        config: the race: a config, a preset's name or a YAML file.
+        config: the race: a config, a preset's name or a YAML file; None: the policy's own. There is
+            an ``InputWarning`` where it differs from the race that the policy was trained in.
         runs: number of runs.
         laps: number of laps of a run.
         gates: number of gates of a run, in place of laps.
@@ -85,9 +87,11 @@ def evaluate(
         InputError: a file that cannot be read, a policy for another vehicle model, or a number out
             of range.
     """
-    config = config if isinstance(config, Config) else load_config(config)
-    network = policy if isinstance(policy, Policy) else Policy.load(policy, config)
+    race = config if config is None or isinstance(config, Config) else load_config(config)
+    network = policy if isinstance(policy, Policy) else Policy.load(policy, race)
     name = name or ("policy" if isinstance(policy, Policy) else str(policy))
+    config, _ = race_of_policy(network, name, race)
+    warn_of_other_race(network, config, name)
     if body_radius is not None:
         config = with_body(config, body_radius)
     if config.run.compilation_cache:

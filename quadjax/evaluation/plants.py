@@ -18,6 +18,7 @@ from quadjax.plant.flights import (
     fly_plan,
     log_quantities,
     plan_race,
+    race_config,
     recorded_flights,
     rows,
 )
@@ -69,11 +70,12 @@ def fly_plants(
         flown = flown or [flights]
 
     def record() -> list[Flight]:
-        result = []
+        result, constants = [], race_config(race, policy).vehicle.constants
         recorded = recorded_flights(flown[0], race.track.gates, base_model(policy.vehicle))
         for run, flight in enumerate(recorded):
             command = Signal(rows(flown[0], flown[0].frames.rpm_command, run), "rpm", MOTORS)
-            result.append(flight.replace(signals=flight.signals | {MOTOR_COMMAND: command}))
+            flight = flight.replace(signals=flight.signals | {MOTOR_COMMAND: command})
+            result.append(flight.of_drone(constants))
         return result
 
     best = race.evaluate.best_known_lap

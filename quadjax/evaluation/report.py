@@ -18,6 +18,8 @@ from quadjax.evaluation.figures import MANY, Groups, colors_of, trajectory_figur
 from quadjax.evaluation.table import Format, counted, flights_table
 from quadjax.fitting.signals import first_order
 from quadjax.flights.flight import Flight, fastest
+from quadjax.race.track import GateSection
+from quadjax.vehicle.registry import base_model
 
 FORMATS = ("pdf", "svg", "png")
 FILES = (
@@ -57,10 +59,13 @@ class Response:
 def response(flight: Flight, vehicle: Vehicle) -> Response | None:
     """Propeller speeds, or body rates and specific thrust, with their commands.
 
-    None for a flight without such commands, or if the vehicle has no constants of its model.
+    The limits and lags are those of the drone that flew, where the flight has its constants, or
+    else those of ``vehicle``. None for a flight without such commands, or if there are no constants
+    of its model.
     """
     commands = flight.signals.get("command")
     kind = "" if commands is None else MODELS.get(str(commands.by_unit()[0].unit), "")
+    vehicle = _drone_of(flight, vehicle)
     if kind not in (vehicle.model, *vehicle.models) or "actuators" not in flight.signals:
         return None
     constants = vehicle.with_model(kind).constants
@@ -89,17 +94,40 @@ def response(flight: Flight, vehicle: Vehicle) -> Response | None:
     return Response(actual, command, model, low, high, names, units)
 
 
+def _drone_of(flight: Flight, vehicle: Vehicle) -> Vehicle:
+    """The vehicle that flew, if the flight has all constants of a model; else another one."""
+    model, constants = (flight.source.get(key) for key in ("vehicle", "constants"))
+    if not isinstance(constants, dict) or model not in MODELS.values():
+        return vehicle
+    known = set(constants) == set(base_model(str(model)).constant_names)
+    return Vehicle(model=str(model), constants=constants) if known else vehicle
+
+
 @dataclasses.dataclass(frozen=True)
 class Report:
     """Groups of flights next to each other: the tables and figures of a paper.
 
     Attributes:
         groups: flights by the label of their group, as ``evaluate(..).flights`` returns them.
-        config: the race, of which the track and the constants of the vehicle are used.
+        config: the race of flights without gates of their own, or constants of their drone.
     """
 
     groups: Groups
     config: Config
+
+    @property
+    def gates(self) -> Sequence[GateSection]:
+        """Of the track that all flights fly.
+
+        Raises:
+            InputError: flights on different tracks.
+        """
+        flown = {f.gates: label for label, flights in self.groups.items() for f in flights}
+        flown.pop((), None)
+        if len(flown) > 1:
+            pair = " and ".join(list(flown.values())[:2])
+            raise InputError(f"{pair}: flights on different tracks, allowed: flights on one track")
+        return next(iter(flown), self.config.track.gates)
 
     def table(self, format: Format = "text") -> str:
         """Laps and total of each flight; the fastest of its group is highlighted."""
@@ -148,7 +176,7 @@ class Report:
         The first is that of the flights that pass the most gates: one that crashed may have been
         ahead.
         """
-        colors, gates = colors_of(self.groups), len(self.config.track.gates)
+        colors, gates = colors_of(self.groups), len(self.gates)
         figure = new_figure(9.6, 4.2)
         axes = figure.add_subplot()
         tidy(axes)
@@ -178,7 +206,7 @@ class Report:
 
     def trajectories(self) -> Figure:
         """From above and from the side, groups next to each other, colored by speed."""
-        return trajectory_figure(self.groups, self.config.track.gates)
+        return trajectory_figure(self.groups, self.gates)
 
     def responses(self) -> dict[str, tuple[Flight, Response]]:
         """The fastest flight of each group with its ``response``, by label, where there is one."""
@@ -190,7 +218,7 @@ class Report:
         """Commands, limits and errors of the fastest flight of a group over time.
 
         The signals are propeller speeds, or body rates and thrust. The error is the difference from
-        the first-order response to the commands, with the constants of the config's vehicle.
+        the first-order response to the commands, with the constants of the drone that flew.
 
         Raises:
             InputError: no such group, or the vehicle has no model of the commands of its fastest
@@ -202,7 +230,7 @@ class Report:
         if label not in responses:
             raise InputError(f"{label}: the vehicle has no model of its commands")
         best, signals = responses[label]
-        return error_figure(best, signals, len(self.config.track.gates), f"{label}, {best.name}")
+        return error_figure(best, signals, len(self.gates), f"{label}, {best.name}")
 
     def figures(self) -> Iterator[tuple[str, Figure]]:
         """Every figure by name: ``boxes``, ``gaps``, ``trajectories``, ``errors_N`` of group N."""

@@ -103,7 +103,8 @@ def simulate(
         kept = recorded
         if trace is not True:
             _, kept = race.fly_race(choices, actor, count, steps, True, *flights)
-        return recorded_flights(kept, laps, time_step, config.track.gates, choices.model)
+        runs = recorded_flights(kept, laps, time_step, config.track.gates, choices.model)
+        return [run.of_drone(config.vehicle.constants) for run in runs]
 
     is_alike = (protocol.laps, protocol.start, protocol.deterministic) == ALIKE
     is_alike = is_alike and condition.damage is None and not protocol.tracks

@@ -37,7 +37,7 @@ from quadjax.export.report import Json, make_report, report_text
 from quadjax.export.suitability import target_of
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS, find_target, runtime_files
 from quadjax.policy.file import Policy
-from quadjax.policy.race import race_of_policy
+from quadjax.policy.race import race_of_policy, warn_of_other_race
 
 FOLDERS = ("paparazzi", "indiflight", "qjp", "c")
 
@@ -163,6 +163,8 @@ def convert_file(
     check_policy(policy)
     target_of(options.target, policy.vehicle)
     config, origin = race_of_policy(policy, path.name, config, track)
+    if options.allow_other_race:
+        warn_of_other_race(policy, config, path.name)
     race = policy_race(config, policy, origin, path.name)
     if not options.allow_other_race:
         check_race(policy, race, path)

@@ -1,8 +1,6 @@
 """The race of a policy: which configuration describes it, and its environment."""
 
 import dataclasses
-import functools
-from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -15,14 +13,12 @@ from quadjax.core.errors import InputError
 from quadjax.export.names import RESIDUAL_FILE
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, fit_race, make_pilot
-from quadjax.policy.race import race_of_policy
+from quadjax.policy.race import differences, own_race
 from quadjax.race.observation_config import ESTIMATED
 from quadjax.race.observations import HIGHEST_RPM
 from quadjax.race.types import Choices, RaceParams
 from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.residual import located
-
-Facts = dict[str, np.ndarray | str | int]  # a property of a race by its name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,7 +111,7 @@ def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> C
 def check_race(policy: Policy, race: PolicyRace, file: Path) -> str:
     """Check that a race is the one in the policy's file, if it has one.
 
-    Vehicle, residual, track, gate test and time step are compared.
+    Vehicle, residual, track, rules and battery are compared.
 
     Returns:
         The properties that were compared, as text for a report.
@@ -123,40 +119,12 @@ def check_race(policy: Policy, race: PolicyRace, file: Path) -> str:
     Raises:
         InputError: the first difference.
     """
-    if policy.config is None:
+    own = own_race(policy, race.config, file.name)
+    if own is None:
         return "the policy file has no config"
-    config, _ = race_of_policy(policy, file.name)
-    training_facts = _facts(policy_race(config, policy, "the policy file", file.name))
-    if difference := next(_differences(training_facts, _facts(race)), None):
+    if difference := next(differences(own, race.config), None):
         raise InputError(
             f"{file.name}: trained in another race than {race.origin}: {difference}; "
             "allow_other_race=True accepts it"
         )
-    return "vehicle, track, gate test and time step are those of the policy file"
-
-
-def _differences(training: Facts, exported: Facts) -> Iterator[str]:
-    """The differences between the properties of two races, as text."""
-    for name in training | exported:
-        there, here = pair = [np.asarray(facts.get(name, "none")) for facts in (training, exported)]
-        if not np.array_equal(there, here):
-            large = max(x.size for x in pair) > 8
-            texts = ["other numbers" if large and x.dtype.kind != "U" else x for x in pair]
-            yield f"{name} is {texts[0]} in training, {texts[1]} here"
-
-
-def _facts(race: PolicyRace) -> Facts:
-    """The properties by which two races are compared."""
-    params = race.params
-    parts = {"vehicle": params.vehicle, "track": params.track, "time_step": race.time_step}
-    if HIGHEST_RPM in race.choices.layout:
-        parts["battery"] = params.battery
-    leaves = jax.tree_util.tree_leaves_with_path(parts)
-    keystr = functools.partial(jax.tree_util.keystr, simple=True, separator=".")
-    facts: Facts = {
-        "vehicle.model": race.choices.model.name,
-        "gate_test": params.rules.gate_test,
-        "the number of gates": len(params.track.yaw),
-        "vehicle.residual": "none" if params.vehicle.residual is None else "two networks",
-    }
-    return facts | {keystr(path): np.asarray(leaf) for path, leaf in leaves}
+    return "vehicle, track, rules and battery are those of the policy file"

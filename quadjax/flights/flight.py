@@ -67,7 +67,8 @@ class Flight:
         lap_ends: (laps,) s, ends of the completed laps.
         crash: why the flight ended early; None where it did not.
         source: further facts, of the types of JSON: "vehicle", the name of the vehicle model;
-            "note", one line about the flight; "periodic", whether it is a lap that can be repeated.
+            "constants", those of the model of a simulated drone, by name; "note", one line about
+            the flight; "periodic", whether it is a lap that can be repeated.
     """
 
     name: str
@@ -139,6 +140,10 @@ class Flight:
     def replace(self, **changes: Any) -> Self:
         """The flight with other values of some attributes."""
         return dataclasses.replace(self, **changes)
+
+    def of_drone(self, constants: Mapping[str, float]) -> Self:
+        """The flight with the constants of the drone that flew, for its limits and lags."""
+        return self.replace(source=self.source | {"constants": dict(constants)})
 
     def map(self, change: Callable[[np.ndarray], np.ndarray]) -> Self:
         """The flight with ``change`` applied to the values of every signal."""

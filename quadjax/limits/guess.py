@@ -19,6 +19,7 @@ from quadjax.limits.trajectory import Trajectory
 from quadjax.limits.verify import passages
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
+from quadjax.policy.race import warn_of_other_race
 
 INTERVALS = 20  # of a leg, on the first mesh
 POLICY_LAPS = 4
@@ -34,9 +35,11 @@ def policy_lap(problem: Problem, config: Config, policy: Path | str) -> Trajecto
     Raises:
         InputError: the policy completes no lap.
     """
+    network = Policy.load(policy, config)
+    warn_of_other_race(network, config, policy)
     choices, params = race_of(config)
     laps = -(-len(problem.order) // len(problem.gates.position))
-    network, count = Policy.load(policy, config), POLICY_LAPS if problem.periodic else laps
+    count = POLICY_LAPS if problem.periodic else laps
     how: dict[str, Any] = {"laps": count, "runs": 1, "deterministic": True, "name": str(policy)}
     result, trace = pilot.fly_policy(choices, params, network, trace=True, **how)
     assert trace is not None

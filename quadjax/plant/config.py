@@ -11,6 +11,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
+from quadjax.core.errors import InputError
 from quadjax.core.sections import (
     MAX_SEED,
     ORDERED,
@@ -287,7 +288,12 @@ def load_plant_config(path: Path | str, overrides: Sequence[str] = ()) -> PlantC
     Raises:
         InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
     """
-    return load_section(PlantConfig, path, "plant", overrides)
+    try:
+        return load_section(PlantConfig, path, "plant", overrides)
+    except InputError as error:
+        if not str(error).startswith("overrides: "):
+            raise
+        raise InputError(f"{error} (overrides change the plant, not the race)") from None
 
 
 def without_effects(config: PlantConfig) -> PlantConfig:

@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.config.assembly import make_vehicle, race_of
-from quadjax.config.loading import stored_config
-from quadjax.config.schema import Config
+from quadjax.config.schema import Config, Vehicle
 from quadjax.core.errors import InputError
 from quadjax.core.precision import single_precision
 from quadjax.core.quaternion import Quaternion
@@ -22,18 +21,19 @@ from quadjax.plant.onboard import onboard_params
 from quadjax.plant.plant import build_plant, nominal_vehicle
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import fit_race, make_pilot
+from quadjax.policy.race import own_race, race_of_policy, warn_of_other_race
 from quadjax.race import laps
 from quadjax.race.environment import exact_rules
 from quadjax.race.laps import Laps, time_limit
 from quadjax.race.layout import LAST_ACTION, Layout
 from quadjax.race.track import GateSection
 from quadjax.vehicle.battery import middle_limit
-from quadjax.vehicle.motor import MotorConstants, hover_rpm
+from quadjax.vehicle.motor import MODEL as MOTOR
+from quadjax.vehicle.motor import hover_rpm
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.rate import RateCommand
 
 CHUNK_SECONDS = 1.0  # of flight between checks for the end
-PARTS = ("vehicle", "track", "battery")  # sections of a stored config that describe the drone
 SAME_STEP = 1e-6  # relative difference of time steps that count as equal
 SAME_HOVER, SAME_ROLL = 1.25, 2.0  # largest factors between numbers of the same drone
 
@@ -77,8 +77,8 @@ def plan_race(
     """
     choices, params = fit_race(*race_of(race_config(config, policy)), policy, name)
     params = exact_rules(choices.model, params)
+    check_drone(plant, config.vehicle)
     model = make_vehicle(config.replace(vehicle=config.vehicle.with_model("motor")))
-    check_drone(plant, model.constants)
     first_limit = None if params.battery is None else middle_limit(params.battery)
     low, high = plant.battery.charge
     return Plan(
@@ -105,10 +105,8 @@ def race_config(config: Config, policy: Policy) -> Config:
     board; the race adds none.
     """
     vehicle = config.vehicle.with_model(policy.vehicle)
-    battery = config.battery
-    if policy.config is not None:
-        parts = {key: policy.config[key] for key in PARTS if key in policy.config}
-        training = stored_config(parts, "policy file")
+    training, battery = own_race(policy, config), config.battery
+    if training is not None:
         vehicle, battery = vehicle.replace(constants=training.vehicle.constants), training.battery
     return config.replace(
         vehicle=vehicle.replace(mismatch={}),
@@ -121,12 +119,13 @@ def race_config(config: Config, policy: Policy) -> Config:
 
 @single_precision
 def plan_logs(
-    config: Config, plant: PlantConfig, policy: Path | str, flights: int, laps: int
+    config: Config | None, plant: PlantConfig, policy: Path | str, flights: int, laps: int
 ) -> Plan:
     """Flights of the mean action of a policy on the plant, with a record of each sample.
 
     Args:
-        config: of the race; its vehicle, with its residual, is the onboard model.
+        config: of the race; its vehicle, with its residual, is the onboard model. None: the
+            policy's own. There is an ``InputWarning`` where they differ.
         plant: of the plant.
         policy: its file, the folder of its run, or the name of a shipped policy.
         flights: number of flights.
@@ -140,39 +139,43 @@ def plan_logs(
             read.
     """
     plant, network = plant.replace(control_rate=plant.sample_rate), Policy.load(policy, config)
+    config, _ = race_of_policy(network, policy, config)
+    warn_of_other_race(network, config, policy)
     return plan_race(
         config, plant, network, str(policy), lap_count=laps, runs=flights, recorded=flights
     )
 
 
-def check_drone(plant: PlantConfig, model: MotorConstants) -> None:
-    """Check that the plant is the drone that a policy was trained for.
+def check_drone(plant: PlantConfig, model: Vehicle) -> None:
+    """Check that the plant is the drone of a race, whose model is the one on board.
 
     The propeller speed in hover may differ by the factor ``SAME_HOVER``, and the roll acceleration
     from one rotor at that speed by ``SAME_ROLL``: more than by a fit, damage or another payload.
 
     Args:
         plant: of the plant.
-        model: constants that the policy was trained with.
+        model: the vehicle of the race.
 
     Raises:
         InputError: another drone.
     """
     vehicle = nominal_vehicle(plant)
-    drones = (vehicle.motor, model)
+    constants = MOTOR.make_constants(model.with_model("motor").constants)
+    drones = (vehicle.motor, constants)
     hover = [float(hover_rpm(c)) for c in drones]  # rpm
     roll = [float(c.k_p / c.i_xx) * speed**2 for c, speed in zip(drones, hover, strict=True)]
     compared = (
         ("a propeller speed in hover", "rpm", hover, SAME_HOVER),
         ("a roll acceleration from one rotor in hover", "rad/s^2", roll, SAME_ROLL),
     )
-    for quantity, unit, (plant_value, policy_value), factor in compared:
-        if not 1.0 / factor <= plant_value / policy_value <= factor:
+    for quantity, unit, (plant_value, race_value), factor in compared:
+        if not 1.0 / factor <= plant_value / race_value <= factor:
             raise InputError(
                 f"plant {plant.name}: its drone, {vehicle.name}, has {quantity} of "
-                f"{plant_value:.0f} {unit}, but the policy was trained for another drone, with "
-                f"{policy_value:.0f} {unit}; allowed: vehicle=FILE with that drone, or a plant "
-                "config with base: plant/standin and vehicle: FILE"
+                f"{plant_value:.0f} {unit}, but the vehicle of the race, {model.name}, is another "
+                f"drone, with {race_value:.0f} {unit}; allowed: the race of this drone, "
+                "vehicle=FILE with that drone, or a plant config with base: plant/standin and "
+                "vehicle: FILE"
             )
 
 

@@ -30,6 +30,7 @@ from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import plan_race
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import fit_race
+from quadjax.policy.race import warn_of_other_race
 from quadjax.race.laps import Laps
 from quadjax.sil.faults import Faults
 from quadjax.sil.fly import Race, fly
@@ -160,6 +161,7 @@ def _fly_all(
     sources = Sources.write(converted.target, files, work, converted.fixed)
     plant = setting.plant and at_rate(setting.plant, sources)
     setting, config = dataclasses.replace(setting, plant=plant), converted.race.config
+    warn_of_other_race(converted.policy, config, converted.file)
     laps = setting.laps or config.evaluate.laps
     world = make_world(config, converted.policy, plant, laps)
     report("building the C")
@@ -175,7 +177,9 @@ def _fly_all(
             report(f"{text}: {seconds:.0f} s flown")
 
         how = (setting.faults, setting.seed + run, stop, say)
-        races.append(fly(world, autopilot, *how, config.track.gates, f"run {run + 1}"))
+        flown = fly(world, autopilot, *how, config.track.gates, f"run {run + 1}")
+        record = flown.flight.of_drone(world.constants())
+        races.append(dataclasses.replace(flown, flight=record))
         if stop.is_set():
             break
     if stop.is_set() and not len(races[0].flight.time):

@@ -71,6 +71,12 @@ class World:
         """Of the commands."""
         return self.choices.model
 
+    def constants(self) -> dict[str, float]:
+        """The constants by name."""
+        return {
+            k: float(getattr(self.params.vehicle.constants, k)) for k in self.model.constant_names
+        }
+
     def ranges(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest command (4,), in the model's units."""
         return command_ranges(self.choices, self.params)

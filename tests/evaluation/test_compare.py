@@ -10,12 +10,14 @@ import pytest
 from benchmarks.ablation import VARIANTS
 from quadjax import compare
 from quadjax.config.loading import load_config
+from quadjax.core.errors import InputWarning
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation import report
 from quadjax.evaluation.plants import drawn
 from quadjax.evaluation.rows import Row, concatenate
 from quadjax.flights.flight import Flight, Signal
 from quadjax.plant.config import PlantConfig
+from quadjax.training.build import untrained_policy
 from tests.commands import run
 from tests.evaluation.support import flights
 
@@ -78,6 +80,25 @@ def test_the_table_of_plants_is_of_the_flights_that_both_finish():
     found = numbers["INDI"]["all effects"]
     assert found["mean"] == pytest.approx(14.4) and found["each plant"][1] is None
     assert (found["both finish"], found["finished"], found["runs"]) == (1, 4, 4)
+
+
+def test_contenders_fly_their_own_races_which_must_be_alike(tmp_path, capsys):
+    """INDI of a thrust of up to 18 m/s^2: in its own race, and with its constants in another."""
+    own = load_config("indi", ["vehicle.constants.thrust_max=18"])
+    files = {"E2E": PRETRAINED / "e2e.npz", "INDI": tmp_path / "indi18.npz"}
+    untrained_policy(own).save(files["INDI"])
+    found = compare.contenders(files)["INDI"]
+    assert found.race.vehicle.constants["thrust_max"] == 18.0
+    with pytest.warns(InputWarning, match="thrust_max is 18 in training, 15 here"):
+        named = compare.contenders(files, load_config("e2e"))["INDI"]
+    assert found.drone.constants == named.drone.constants == own.vehicle.constants
+    untrained_policy(load_config("indi", ["track=figure8"])).save(files["INDI"])
+    assert run("compare", "standin", "--indi", files["INDI"], "--output", tmp_path) == 2
+    error = capsys.readouterr().err
+    assert "track is square4 in the race of" in error and "(--race CONFIG)" in error
+    change = "vehicle.constants.thrust_max=18"
+    assert run("compare", "standin", change, "--output", tmp_path) == 2
+    assert "(overrides change the plant, not the race)" in capsys.readouterr().err
 
 
 def test_drawn_plants_differ_in_their_constants_only():

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.report import Report, error_figure, response
@@ -58,6 +59,14 @@ def test_the_table_has_every_flight_the_fastest_in_bold(groups, monkeypatch):
     assert flights_table(groups).format("text") == text  # in a notebook too
 
 
+def test_a_report_has_the_gates_that_were_flown(groups):
+    other = load_config("e2e", ["track=figure8"])
+    assert Report(groups, other).gates == RACE.track.gates
+    elsewhere = [groups["slow"][0].replace(gates=other.track.gates)]
+    with pytest.raises(InputError, match="slow and there: flights on different tracks"):
+        _ = Report(groups | {"there": elsewhere}, RACE).gates
+
+
 def test_gaps_are_behind_the_first_of_the_flights_that_finish(groups):
     axes = Report(groups, RACE).gaps().axes[0]
     drawn = [line for line in axes.lines if len(line.get_xdata()) > 2]
@@ -102,6 +111,14 @@ def test_errors_are_to_the_first_order_response_of_the_commands(groups):
     lifted = first_order(limited, thrust[0], constants["tau_thrust"], STEP)
     np.testing.assert_allclose(signals.error[:, 3:], thrust - lifted, atol=1e-6)
     assert tuple(signals.units) == ("rad/s",) * 3 + ("m/s^2",) and signals.names[3] == "thrust"
+    own = RACE.vehicle.with_model("rate").constants | {"thrust_max": 18.0, "tau_thrust": 0.05}
+    command = command + [0.0, 0.0, 0.0, 16.0]  # 14 to 18 m/s^2
+    strong = indi.with_signals(command=command).of_drone(own)  # next to a drone of 15 m/s^2
+    reported = Report({"weak": [indi], "strong": [strong]}, RACE).responses()
+    assert [signals.high[3] for _, signals in reported.values()] == [15.0, 18.0]
+    lifted = first_order(command[:, 3:], thrust[0], 0.05, STEP)
+    np.testing.assert_allclose(reported["strong"][1].error[:, 3:], thrust - lifted, atol=1e-6)
+    np.testing.assert_array_equal(reported["weak"][1].error, signals.error)
     names = dict(Report(groups, RACE).figures())
     assert {"errors_1", "errors_2"} <= set(names)
     ticks = [line for line in names["errors_1"].axes[1].lines if len(line.get_xdata()) == 2]

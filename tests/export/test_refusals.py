@@ -63,13 +63,16 @@ POLICIES = [  # words of the message, changes of the policy, its race or its exp
 ] + [
     (f"trained in another race than config: {text}; all", {"config": [override]})
     for text, override in (
-        (r"track.position.x is \[ 2.* in training, \[3.* here", OTHER_GATES),
-        ("the number of gates is 4 in training, 6 here", "track=figure8"),
-        ("vehicle.constants.k_w is .* in training, .*e-08 here", "vehicle.constants.k_w=4e-8"),
-        ("time_step is 0.0.* in training, 0.00.* here", "rules.time_step=0.005"),
-        ("gate_test is square in training, world_box here", "rules.gate_test=world_box"),
+        (r"track.gates\[0\].position is \[2.* in training, \[3.* here", OTHER_GATES),
+        ("track is square4 in training, figure8 here", "track=figure8"),
         (
-            "vehicle.residual is none in .*, two networks here",
+            "vehicle.constants.k_w is 4.36.*e-08 in training, 4e-08 here",
+            "vehicle.constants.k_w=4e-8",
+        ),
+        ("rules.time_step is 0.01 in training, 0.005 here", "rules.time_step=0.005"),
+        ("rules.gate_test is square in training, world_box here", "rules.gate_test=world_box"),
+        (
+            "vehicle.residual is null in .*, standin_residual.npz here",
             "vehicle.residual=standin_residual.npz",
         ),
     )
@@ -96,7 +99,11 @@ def test_an_observation_and_a_vehicle_of_a_user_have_no_c():
 
 def test_shipped_policies_for_other_races_are_refused(tmp_path):
     for policy, config, words in (
-        (PRETRAINED / "e2e_residual.npz", "e2e", "residual is two networks in training, none here"),
+        (
+            PRETRAINED / "e2e_residual.npz",
+            "e2e",
+            "residual is standin_residual.npz in training, null here",
+        ),
         (PRETRAINED / "indi.npz", CONFIGS / "e2e.yaml", "e2e.yaml: indi.npz: .*=rate, .*=motor,"),
     ):
         with pytest.raises(InputError, match=words):

@@ -1,20 +1,26 @@
 """Every command flies a policy file in the same race."""
 
 import dataclasses
+import importlib
 
 import pytest
 
-from quadjax import sources
+from quadjax import compare, sources
 from quadjax.config import assembly
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED, policy_names
 from quadjax.evaluation.conditions import Condition
 from quadjax.export import convert, race_source
+from quadjax.limits import guess
+from quadjax.plant import flights as plant_flights
 from quadjax.policy.file import Policy
-from quadjax.policy.race import race_of_policy
+from quadjax.policy.race import differences, race_of_policy
+from quadjax.training.build import untrained_policy
 from tests.commands import run
 from tests.frozen.parts import RACES
+
+evaluation = importlib.import_module("quadjax.evaluation.evaluate")  # not the function
 
 
 @pytest.fixture
@@ -57,6 +63,85 @@ def test_every_command_flies_the_same_race(name, races, tmp_path, capsys):
     preset = load_config(RACES[name])
     assert races[0].track.gates == preset.track.gates and races[0].rules == preset.rules
     assert races[0].vehicle.residual == preset.vehicle.residual
+
+
+DIFFERENCES = (  # overrides of the training and of a race, and the difference
+    ("indi", ["vehicle.constants.thrust_max=18"], [], ["vehicle.constants.thrust_max is 18 in"]),
+    (
+        "e2e",
+        ["vehicle=5inch"],
+        [],
+        ["vehicle is 5-inch racing quadcopter in training, Parrot Bebop 1 here"],
+    ),
+    ("e2e", ["track=figure8"], [], ["track is figure8 in training, square4 here"]),
+    ("e2e", [], ["rules.position_limit=20"], ["rules.position_limit is 10 in training, 20 here"]),
+    ("e2e", [], ["vehicle.mismatch={k_w: 0.9}"], ["vehicle.mismatch.k_w is null in training, 0.9"]),
+    (
+        "e2e",
+        [],
+        ["vehicle.residual=standin_residual.npz"],
+        ["vehicle.residual is null in training"],
+    ),
+    ("e2e", [], ["battery={}"], ["battery is null in training, given here"]),
+    ("e2e", ["seed=1", "reward.gate=2", "vehicle.width=0.1", "name=other"], [], []),
+)
+
+
+@pytest.mark.parametrize(("preset", "training", "race", "texts"), DIFFERENCES)
+def test_differences_are_of_what_flies(preset, training, race, texts):
+    found = [*map(str, differences(load_config(preset, training), load_config(preset, race)))]
+    for text in texts:
+        assert any(x.startswith(text) for x in found), found
+    assert len(found) == len(texts)
+
+
+def test_a_residual_is_compared_by_its_networks(tmp_path):
+    copy = tmp_path / "copy.npz"
+    copy.write_bytes((PRETRAINED / "standin_residual.npz").read_bytes())
+    pair = [load_config("e2e", [f"vehicle.residual={x}"]) for x in ("standin_residual.npz", copy)]
+    assert not list(differences(*pair))
+
+
+def test_every_command_warns_of_another_race(tmp_path, capsys, monkeypatch):
+    """A policy with a thrust of up to 18 m/s^2 in a race of up to 15 m/s^2."""
+
+    def stop(*_, **__):
+        raise InputError("stopped")
+
+    for module, name in (
+        (evaluation, "simulate"),
+        (convert, "policy_race"),
+        (race_source, "policy_race"),
+        (plant_flights, "plan_race"),
+        (guess, "race_of"),
+        (compare, "compare"),
+    ):
+        monkeypatch.setattr(module, name, stop)
+    own = load_config("indi", ["vehicle.constants.thrust_max=18"])
+    path = tmp_path / "indi18.npz"
+    untrained_policy(own).save(path)
+    text = "thrust_max is 18 in training, 15 here (without a config it flies its own race)"
+    export, sil = ("export", path, "--output", tmp_path / "c"), ("sil", path, "--output", tmp_path)
+    logs = ("logs", "standin", "--policy", path, "--output", tmp_path / "logs")
+    duel = ("compare", "standin", "--indi", path, "--output", tmp_path)
+    for words, race in (
+        *commands(path, tmp_path)[:2],
+        ((*export, "--allow-other-race"), ("--race", "indi")),
+        *commands(path, tmp_path)[3:],
+        (sil, ("--race", "indi")),
+        (logs, ("--race", "indi")),
+        (duel, ("--race", "indi")),
+    ):
+        assert run(*words) == 2
+        error = capsys.readouterr().err
+        assert "error: stopped" in error and "warning" not in error
+        named = ["indi" if x == "e2e" else x for x in race]
+        assert run(*words, *named) == 2
+        error = capsys.readouterr().err
+        assert error.count("warning: ") == 1 and text in error, (words, error)
+        assert f"warning: {path.name}" in error or f"warning: {path}" in error
+    assert run("limit", "indi", "--policy", path) == 2
+    assert text in capsys.readouterr().err
 
 
 def test_a_file_without_a_config_needs_one_that_is_named(races, tmp_path, capsys):

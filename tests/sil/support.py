@@ -28,6 +28,9 @@ class Counting:
     step: float = 0.01
     limit: int = 1000
 
+    def constants(self):
+        return {}
+
     def ranges(self):
         return np.array([-3.0, -3.0, -3.0, 0.0]), np.array([3.0, 3.0, 3.0, 15.0])
 
