@@ -69,6 +69,7 @@ WITHOUT_CONFIG = (
 # Public functions that also take a preset's name.
 EDGES = {"race_of_policy", "policy_of", "_make", "_make_vector"}
 EDGES |= {"plan_race", "race_config", "plan_logs"}  # flights of a race on the plant
+EDGES |= {"own_race", "differences", "warn_of_other_race"}  # two races next to each other
 
 
 def test_only_the_outer_packages_take_a_whole_config():

@@ -8,6 +8,7 @@ be zero while disturbances are not: a moment bias, or less thrust than modeled.
 """
 
 import dataclasses
+from collections.abc import Collection
 from typing import Any
 
 import jax
@@ -16,10 +17,11 @@ import numpy as np
 from flax import struct
 from numpy.typing import ArrayLike
 
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, warn
 from quadjax.core.traced import with_leaves
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams, act_sampled
+from quadjax.policy.network_files import Layers
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
 from quadjax.race.layout import Layout
 from quadjax.race.observation_config import NONE, Observation
@@ -120,12 +122,63 @@ def make_pilot(choices: Choices, params: RaceParams, policy: Policy, determinist
     return Pilot(policy.on_device(), *(jnp.asarray(x, jnp.float32) for x in numbers))
 
 
-def _observation_scale(environment: Layout, training: Layout) -> Ranges:
+def in_scaling_of(
+    choices: Choices, params: RaceParams, policy: Policy, name: str = "policy"
+) -> Policy:
+    """A policy with other layers for the scaling of a race, in which it commands the same.
+
+    Only what exceeds the limits of its file differs where those of the race are wider, of which
+    there is a warning: the layers have no limits of their own.
+
+    Args:
+        choices: of the race, which has the fields of the policy in the same order.
+        params: of the race.
+        policy: the policy.
+        name: its file, for messages.
+
+    Raises:
+        InputError: another scaling for a network of the user's own.
+    """
+    limits, own = command_ranges(choices, params), _rounded(policy.command_low, policy.command_high)
+    layout = choices.layout.with_spans(choices.model, params)
+    see, act = _observation_scale(layout, policy.layout, ()), _between(own, limits)
+    if all(np.all(scale == 1.0) and np.all(offset == 0.0) for scale, offset in (see, act)):
+        return policy
+    pair = " to ".join(f"{x.tolist()}" for x in own), " to ".join(f"{x.tolist()}" for x in limits)
+    if policy.own is not None:
+        raise InputError(
+            f"{name}: commands {pair[0]}, the race {pair[1]}; allowed with network.module: the "
+            "command range and the observation ranges of the training"
+        )
+    if np.any(limits[0] < own[0]) or np.any(limits[1] > own[1]):
+        warn(f"{name}: commands {pair[0]}, and may exceed it in this race of {pair[1]}")
+    actor = _converted(policy.layers, *see)
+    kernel, bias = actor[-1]
+    return dataclasses.replace(
+        policy,
+        layers=(*actor[:-1], (kernel * act[0], bias * act[0] + act[1])),
+        value=policy.value and _converted(policy.value, *see),
+        log_std=policy.log_std + np.log(act[0]),
+        command_low=limits[0],
+        command_high=limits[1],
+        layout=layout,
+    )
+
+
+def _converted(layers: Layers, scale: np.ndarray, offset: np.ndarray) -> Layers:
+    """Layers for inputs ``x`` that give what the layers give for ``scale * x + offset``."""
+    (kernel, bias), *rest = layers
+    return ((scale[:, None] * kernel, bias + offset @ kernel), *rest)
+
+
+def _observation_scale(
+    environment: Layout, training: Layout, left_out: Collection[str] = tuple(DISTURBANCES)
+) -> Ranges:
     """Scale and offset from what an environment shows to what a policy was trained with."""
     scale, offset = np.ones(training.size), np.zeros(training.size)
     for field in training.fields:
         span, training_span = environment[field.name].span, field.span
-        if span is None or training_span is None or field.name in DISTURBANCES:
+        if span is None or training_span is None or field.name in left_out:
             continue
         here, there = _rounded(*np.transpose(span)), _rounded(*np.transpose(training_span))
         columns = training.slice(field.name)
@@ -141,11 +194,12 @@ def _rounded(low: ArrayLike, high: ArrayLike) -> Ranges:
 def _between(source: Ranges, target: Ranges) -> Ranges:
     """Scale and offset from numbers in [-1, 1] over one range to those over another.
 
-    Both are zero where the other range has no width.
+    They are one and zero for equal ranges, and both zero where only the other one has no width.
     """
     (low, high), (to_low, to_high) = source, target
     width = np.where(to_high == to_low, np.inf, to_high - to_low)
-    return (high - low) / width, (high + low - to_high - to_low) / width
+    scale = np.where((low == to_low) & (high == to_high), 1.0, (high - low) / width)
+    return scale, (high + low - to_high - to_low) / width
 
 
 def see(pilot: Pilot, observation: jax.Array) -> jax.Array:

@@ -22,6 +22,7 @@ from quadjax.policy.file import Layers as FileLayers
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
 from quadjax.policy.own_network import OwnNetwork
+from quadjax.policy.pilot import in_scaling_of
 from quadjax.race.environment import make_environment, with_critic_constants
 from quadjax.race.types import RaceParams, RaceState
 from quadjax.vehicle.registry import base_model
@@ -130,13 +131,14 @@ def reward_scale(config: Config) -> float:
 
 
 def initial_policy(config: Config) -> Policy | None:
-    """The policy of ``run.initial_policy``, if there is one.
+    """The policy of ``run.initial_policy``, if there is one, in the scaling of the config's race.
 
     Raises:
         InputError: a file that cannot be read, or whose network is not the config's.
     """
     if config.run.initial_policy is None:
         return None
+    origin = f"{config.run.initial_policy} (--fine-tune or run.initial_policy)"
     policy, hidden = Policy.load(config.run.initial_policy, config), list(config.network.hidden)
     checks: list[tuple[str, object, object]] = [
         ("network", policy.own.module if policy.own else None, config.network.module),
@@ -150,11 +152,8 @@ def initial_policy(config: Config) -> Policy | None:
             checks.append((name, [len(bias) for _, bias in layers[:-1]], hidden))
     for name, value, allowed in checks:
         if value != allowed:
-            raise InputError(
-                f"{config.run.initial_policy} (--fine-tune or run.initial_policy) has {name} "
-                f"{value}, the config has {allowed}"
-            )
-    return policy
+            raise InputError(f"{origin} has {name} {value}, the config has {allowed}")
+    return in_scaling_of(make_choices(config), make_params(config), policy, origin)
 
 
 def with_policy(

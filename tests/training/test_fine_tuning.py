@@ -2,15 +2,26 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from quadjax.cli import run
+from quadjax.config.assembly import race_of
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.policy.file import Policy
-from quadjax.training.build import initial_policy
+from quadjax.race import environment, episode
+from quadjax.training.build import (
+    initial_policy,
+    make_learner,
+    policy_of,
+    start_state,
+    training_params,
+    untrained_policy,
+)
 from quadjax.training.fine_tuning import fine_tuning
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK, make_config
@@ -55,3 +66,61 @@ def test_a_shipped_policy_is_known_by_its_name():
     own = fine_tuning(load_config("e2e"), "e2e")
     assert own.run.initial_policy == str(PRETRAINED / "e2e.npz")
     assert initial_policy(own).value is not None
+
+
+RACES = {  # overrides of a race that goes on with a policy of the Bebop 1 and 3000 to 11000 rpm
+    "as trained": [],
+    "narrower limits": ["vehicle.constants.rpm_max=10500", "vehicle.constants.rpm_min=3200"],
+    "wider limits": ["vehicle.constants.rpm_max=12000", "vehicle.constants.rpm_min=2500"],
+    "other disturbances": ["disturbance.moment_x=0.08", "disturbance.force_z=0.5"],
+    "no moment": ["disturbance.moment_x=0"],
+    "normalized": ["network.normalize=true", "vehicle.constants.rpm_max=10500"],
+}
+
+
+@pytest.mark.parametrize("race", RACES)
+def test_a_training_starts_with_the_commands_of_the_file(race, tmp_path, recwarn):
+    """In rpm, by the observations of the two races and a float64 computation of the networks."""
+    of_both = ["network.hidden=[8]", "disturbance.moment_x=0.04", "disturbance.moment_y=0.02"]
+    path, random = tmp_path / "first.npz", np.random.default_rng(0)
+    first = make_config(*of_both)
+    policy = untrained_policy(first)
+    layers = tuple((k, 0.1 * random.normal(size=b.shape)) for k, b in policy.layers)
+    dataclasses.replace(policy, layers=layers).save(path)
+    config = make_config(*of_both, f"run.initial_policy={path}", *RACES[race])
+    (learner, _), params = make_learner(config), training_params(config)
+    initial, file = initial_policy(config), Policy.load(path)
+    warned = " ".join(str(each.message) for each in recwarn)
+    assert bool(warned) == ("this race of [2500.0, 2500.0" in warned) == (race == "wider limits")
+    state = start_state(config, learner, params, initial)
+    trained = policy_of(config, state.params)
+    choices, own = race_of(first)
+    drone = episode.hover_start(choices, own)
+    for _ in range(8):
+        rpm = Rotors(*jnp.asarray(random.uniform(4000, 10000, 4), jnp.float32))
+        moment = Vec3(*jnp.asarray([0.0 if race == "no moment" else 0.03, -0.01, 0.0]))
+        body = drone.drone.replace(actuators=rpm, moment_ext=moment)
+        now = drone.replace(drone=body)
+        commands, values = [], []
+        for each, (code, numbers) in ((file, (choices, own)), (trained, race_of(config))):
+            seen = np.asarray(environment.observe(code, numbers, now), np.float64)
+            action = mlp(each.layers, seen)
+            low, high = each.command_low, each.command_high
+            commands.append(np.clip(low + (action + 1.0) / 2.0 * (high - low), 3200.0, 10500.0))
+            values.append(mlp(each.value, seen))
+        np.testing.assert_allclose(commands[1], commands[0], rtol=2e-6)
+        np.testing.assert_allclose(values[1], values[0], rtol=1e-4, atol=1e-6)
+    width = np.exp(trained.log_std) * (trained.command_high - trained.command_low)
+    own_width = np.exp(file.log_std) * (file.command_high - file.command_low)
+    np.testing.assert_allclose(width, own_width, rtol=1e-6)
+    if race == "as trained":
+        for new, old in zip(trained.layers, file.layers, strict=True):
+            np.testing.assert_array_equal(new[0], old[0])
+
+
+def mlp(layers, values):
+    """A network with ReLU in float64."""
+    for index, (kernel, bias) in enumerate(layers):
+        values = values @ np.asarray(kernel, np.float64) + bias
+        values = np.maximum(values, 0.0) if index < len(layers) - 1 else values
+    return values
