@@ -158,7 +158,8 @@ def load_groups(
         label, pattern = (label.strip(), pattern) if equals else ("", word)
         if equals and not label:
             raise InputError(f"{word}: expected LABEL=FILE")
-        paths = sorted(glob.glob(str(Path(pattern).expanduser()))) if pattern else []
+        file = Path(pattern).expanduser()  # whose name may have the characters of a pattern
+        paths = [str(file)] if file.is_file() else sorted(glob.glob(str(file)))
         if not pattern:
             raise InputError(f"{word or repr(word)}: expected LABEL=FILE")
         if not paths:

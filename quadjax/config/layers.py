@@ -90,7 +90,8 @@ def _with_files(
     """The layer of a file, above those of the vehicle and track files that it names.
 
     In the layer, the names of ``.npz`` files next to a file are paths, and nested schedules have
-    dotted keys. ``folders`` are those of the files that it names; ``keys`` those of overrides.
+    dotted keys. A schedule that an override gives as a mapping replaces the lower one as a whole.
+    ``folders`` are those of the files that it names; ``keys`` those of overrides.
     """
     for section, key in DATA_FILES:
         name = _section(tree, section).get(key)
@@ -103,6 +104,10 @@ def _with_files(
             if hint and value is not None and not isinstance(value, dict):
                 allowed = ", ".join(SCHEDULE_KEYS)
                 raise InputError(f"{source}: unknown key schedules.{key}{hint}; allowed: {allowed}")
+            of_parts = any(x.startswith(f"schedules.{key}.") for x in keys)  # schedules.KEY.until=2
+            whole = isinstance(value, dict) and "linear" in value
+            if source == OVERRIDES and whole and not of_parts:
+                tree["schedules"][key] = Whole(value)
     layers: list[Layer] = []
     for section in DEFAULTS:
         named = tree.get(section)

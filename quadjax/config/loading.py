@@ -40,8 +40,8 @@ def load_config(
 
     Args:
         config: the name of a preset, or a YAML file. A key ``base`` names one or several other
-            configs, over which this one is merged. A preset may be followed by parts, and by
-            overrides after them, separated by spaces: ``"e2e +fastest seed=1"``.
+            configs, over which this one is merged. A preset may be followed by parts and overrides,
+            separated by spaces: ``"e2e +fastest seed=1"``; the path of a file is taken as a whole.
         overrides: ``key=value`` with dotted keys; the value is read as YAML. ``track=figure8`` is
             short for ``track.file=figure8.yaml``; likewise ``vehicle``. ``+PART`` merges
             ``PRESET_PART.yaml`` or, where there is none, ``PART.yaml`` over the config: of a folder
@@ -53,7 +53,7 @@ def load_config(
     Raises:
         InputError: one line that names the file, the key, the value and what is allowed.
     """
-    name, *words = WORDS.split(str(config)) if " +" in str(config) else [str(config)]
+    name, *words = [str(config)] if Path(config).exists() else WORDS.split(str(config))
     words = [*words, *overrides]
     path = find_config(name)
     parts = [word[1:] for word in words if word.startswith("+")]
@@ -104,7 +104,9 @@ def generated(tree: Tree, sources: Sources) -> Tree:
         values = generate(settings)
     name = track.get("name") or f"random_{settings.gates}_{settings.seed}"
     track = {**track, "generate": None, "name": name, "gates": values["gates"]}
-    rules = merge_trees(values["rules"], tree.get("rules") or {})
+    rules = tree.get("rules", {})
+    if isinstance(rules, dict):
+        rules = merge_trees(values["rules"], rules)
     return {**tree, "track": track, "rules": rules}
 
 
@@ -113,7 +115,7 @@ def _with_opening(tree: Tree, sources: Sources) -> Tree:
 
     Frames around gates of one size keep their outer edges.
     """
-    section, rules = tree.get("track"), tree.get("rules") or {}
+    section, rules = tree.get("track"), tree.get("rules", {})
     if not isinstance(section, dict) or section.get("opening") is None:
         return tree
     track = validate(TrackSection, section, sources, "track.")

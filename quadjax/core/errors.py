@@ -61,6 +61,8 @@ def short(value: object, limit: int = 60, text: Callable[[object], str] = repr) 
     """A value as in a config, as text of a limited length, also a number of thousands of digits."""
     if value is None or isinstance(value, bool):
         return json.dumps(value)
+    if isinstance(value, int) and 1e15 < abs(value) < 1e300:
+        return f"{value:g}"
     try:
         whole = text(list(value) if isinstance(value, tuple) else value)
     except ValueError:
@@ -69,8 +71,13 @@ def short(value: object, limit: int = 60, text: Callable[[object], str] = repr) 
 
 
 def close_match(name: str, allowed: Sequence[str]) -> str:
-    """``"; did you mean X?"`` for the allowed name closest to ``name``, or nothing."""
+    """``"; did you mean X?"`` for the allowed name closest to ``name``, or nothing.
+
+    Initials are close, too: ``lr`` to ``learning_rate``.
+    """
     near = difflib.get_close_matches(name, allowed, n=1)
+    if not near and len(name) > 1:
+        near = [x for x in allowed if "".join(word[:1] for word in x.split("_")) == name]
     return f"; did you mean {near[0]}?" if near else ""
 
 

@@ -30,6 +30,20 @@ def fields_at(schema: type[BaseModel], location: Sequence[str | int] = ()) -> di
     return fields_at(section, rest) if section else {}
 
 
+def keys_named(schema: type[BaseModel], name: str, depth: int = 4) -> list[str]:
+    """The dotted keys of values in a schema and its sections whose last part is ``name``.
+
+    A section may be of a subclass of its annotation: those of the default are known, too.
+    """
+    found = []
+    for key, field in fields_at(schema).items() if depth else ():
+        sections = [*filter(is_section, (*_types(field.annotation), type(field.default)))]
+        for section in sections:
+            found += [f"{key}.{path}" for path in keys_named(section, name, depth - 1)]
+        found += [key] if key == name and not sections else []
+    return list(dict.fromkeys(found))
+
+
 def _types(hint: object) -> Iterator[object]:
     """The types in an annotation, inner ones too."""
     yield hint

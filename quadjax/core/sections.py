@@ -42,7 +42,7 @@ from pydantic_core import PydanticCustomError
 
 from quadjax.core.errors import InputError, close_match, short
 from quadjax.core.resources import find_config
-from quadjax.core.section_keys import dotted, fields_at
+from quadjax.core.section_keys import dotted, fields_at, keys_named
 from quadjax.core.yaml_files import Layer, Sources, Tree, merge_layers, parse_overrides, read_layers
 
 __all__ = ["Field", "PrivateAttr", "Section", "validate", "load_section", "model_validator"]
@@ -239,8 +239,7 @@ def _plain(value: Any) -> Any:
         return {key: _plain(item) for key, item in value.items()}
     if type(value) in (list, tuple):
         return tuple(map(_plain, value))
-    whole = isinstance(value, float) and value.is_integer() and abs(value) < 1e15
-    return int(value) if whole else value
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def _bad_value(
@@ -251,7 +250,10 @@ def _bad_value(
     key = prefix + dotted(location) if location else prefix.rstrip(".")
     if error["type"] == "extra_forbidden":
         names = fields_at(schema, location[:-1])
-        hint, there = close_match(str(location[-1]), list(names)), ", ".join(sorted(names))
+        name, there = str(location[-1]), ", ".join(sorted(names))
+        hint = close_match(name, list(names))
+        if len(location) == 1 and (elsewhere := keys_named(schema, name)):
+            hint = f"; did you mean {' or '.join(elsewhere[:3])}?"  # in a section that is left out
         if key in schema.IN_FILES:
             hint = f"; a file with this key is given as {schema.IN_FILES[key]}"
         return BadValue(key, f"unknown key {key}{hint}; allowed there: {there}")

@@ -1,11 +1,13 @@
 """YAML 1.2 files, ``key=value`` overrides and their composition, as plain dictionaries."""
 
+import contextlib
 import dataclasses
 import functools
 import io
 import itertools
 import json
 import re
+import shlex
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -206,10 +208,10 @@ def flatten(tree: Mapping[str, object], leaf: Sequence[str] = ()) -> Tree:
 
 
 def parse_overrides(overrides: Sequence[str]) -> Tree:
-    """``key=value`` overrides with dotted keys, as a tree; each value is read as YAML.
+    """``key=value`` overrides with dotted keys, as a tree; see ``_override_value``.
 
     Raises:
-        InputError: an override that is not ``key=value``.
+        InputError: an override that is not ``key=value``, or a list or mapping that is not YAML.
     """
     tree: Tree = {}
     for override in overrides:
@@ -219,11 +221,34 @@ def parse_overrides(overrides: Sequence[str]) -> Tree:
             raise InputError(f"{short(override)} is not of the form key=value")
         if not text.strip():
             raise InputError(f"{key}= has no value, allowed: a value after the =, null for none")
-        value: Any = parse_yaml(text, key)
+        value = _override_value(key, text.strip())
         for part in reversed(parts):
             value = {part: value}
         tree = merge_trees(tree, value)
     return tree
+
+
+def _override_value(key: str, text: str) -> Any:
+    """The value of an override: YAML that begins with a quote, ``[`` or ``{``, or one scalar.
+
+    A scalar is a number, ``true``, ``false``, ``null`` or the text as it is, also with characters
+    that YAML gives a meaning, such as those of a file's name: there are no comments, for example.
+    """
+    if text[0] in "\"'[{":
+        try:
+            values = parse_yaml(f"[{text}]", key)  # a comment in the text is an error here
+            if isinstance(values, list) and len(values) == 1:
+                return values[0]
+            reason = f"{key}: several values"
+        except InputError as error:
+            reason = str(error)
+        raise InputError(f"{reason}; as a text with quotes: {shlex.quote(override(key, text))}")
+    if text[0] not in "#&!" and len(text.split()) == 1:
+        with contextlib.suppress(InputError):
+            value = parse_yaml(text, key)
+            if not isinstance(value, str | list | dict):
+                return value
+    return text
 
 
 def override(key: str, value: object) -> str:

@@ -183,7 +183,47 @@ def test_an_error_names_the_file_that_sets_the_key(tmp_path):
     assert refusal(BLANK, f"track={track}").startswith(f"{track}: track.gates[0].position is")
 
 
+def test_a_path_is_never_split_into_words(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for words in ("e2e track=figure8 seed=2", "e2e +gate_edge track=figure8 seed=2"):
+        config = load_config(words)
+        assert (config.track.name, config.seed) == ("figure8", 2)
+    named = Path("my +own seed=3.yaml")
+    named.write_text("base: e2e\nseed: 7\n")
+    assert load_config(named).seed == load_config(str(named)).seed == 7
+    track = (CONFIGS / "tracks/figure8.yaml").read_text()
+    for name in ("t", "t #1.yaml", "t*.yaml", "@t.yaml"):
+        Path(name).write_text(track.replace("name: figure8", f"name: '{name}'"))
+        assert load_config("e2e", [f"track={name}"]).track.name == name
+
+
+def test_a_schedule_in_an_override_replaces_the_whole():
+    key, usual = "learner.std", load_config("e2e").schedules["learner.std"]
+    assert usual.start == 0.5
+    own = load_config("e2e", [f"schedules.{key}={{linear: [0.3, 0.05]}}"]).schedules[key]
+    assert (own.linear, own.start, own.until) == ((0.3, 0.05), 0.0, 1.0)
+    for text in (
+        "schedules={learner.std: {linear: [value, 1]}}",
+        f"schedules.{key}={{linear: [1, 2]}}",
+    ):
+        assert load_config("e2e", [text]).schedules[key].start == 0.0
+    changed = load_config("e2e", [f"schedules.{key}.until=0.8"]).schedules[key]
+    assert (changed.linear, changed.start, changed.until) == (usual.linear, 0.5, 0.8)
+
+
 REFUSED = """
+steps=1000 | unknown key steps; did you mean run.steps?
+runs=3 | unknown key runs; did you mean evaluate.runs?
+num_envs=64 | did you mean learner.num_envs?
+learner.lr=1 | unknown key learner.lr; did you mean learning_rate?
+run.steps=1e19 | run.steps is 1e+19, allowed: less than or equal to 1000000000000
+run.steps=1.5 | run.steps is 1.5, allowed: a whole number
+schedules.learner.std=linear | is 'linear', allowed: a mapping
+rules=5 | rules is 5, allowed: a mapping
+track.generate.seed=1 rules=5 | rules is 5, allowed: a mapping
+track.opening=0.5 rules=5 | rules is 5, allowed: a mapping
+'seed=1 #2' | seed is '1 #2', allowed: a whole number
+'track=nosuch #1.yaml' | track: 'nosuch #1.yaml': no such file
 vehicle.model=boat | vehicle.model is 'boat', allowed: motor, rate
 vehicle.constants.k_w=0 | vehicle.constants.k_w is 0.0, allowed: a positive number
 vehicle.constants.k_w=1 | give a thrust of 3.67e+06 to 4.93e+07 times the weight, allowed

@@ -1,5 +1,6 @@
 """The base of all configs: reading, composing, building and one-line errors."""
 
+import shlex
 from typing import Annotated, Literal
 
 import pytest
@@ -9,6 +10,7 @@ from quadjax.config.reference import describe
 from quadjax.core.errors import InputError
 from quadjax.core.sections import Field, Section, model_validator, validate
 from quadjax.core.yaml_files import (
+    override,
     parse_overrides,
     parse_yaml,
     read_tree_with_bases,
@@ -149,6 +151,29 @@ def test_overrides():
     for word in ("a", "=3", "a..b=3", ".=1", ".".join("a" * 2000) + "=1"):
         with pytest.raises(InputError, match="is not of the form key=value"):
             parse_overrides([word])
+
+
+LITERAL = (
+    *("LOG 1 #2.csv", "#1.yaml", "*.csv", "@e.csv", "&a b", "&a", "!x", "!!int 3", "%a", "`a"),
+    *("a: b", "- a", "? a", "--- 1", "1 #2", "> a", "| a", "a, b", "=", "~/a.yaml", "2026-01-31"),
+    *("a's", 'a"b', "a{b}", "a[1]", "null #1", "ä ö"),
+)
+
+
+@pytest.mark.parametrize("text", LITERAL)
+def test_the_text_of_an_override_is_taken_as_it_is(text):
+    assert parse_overrides([f"file={text}"]) == {"file": text}
+    assert parse_overrides([override("file", text)]) == {"file": text}
+
+
+@pytest.mark.parametrize(
+    "text", ["{x}.csv", "[a] 1.csv", "[1] #2", "'a' b", "[1], [2]", '"a', "{a"]
+)
+def test_an_override_that_is_neither_asks_for_quotes(text):
+    with pytest.raises(InputError, match="as a text with quotes: ") as caught:
+        parse_overrides([f"a.file={text}"])
+    (quoted,) = shlex.split(str(caught.value).partition("quotes: ")[2])
+    assert parse_overrides([quoted]) == {"a": {"file": text}}
 
 
 def test_to_yaml_reads_back(tmp_path):
