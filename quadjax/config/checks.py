@@ -11,7 +11,9 @@ from collections.abc import Mapping, Sequence
 from quadjax.config.schema import Config, Schedule
 from quadjax.core.errors import InputError, close_match, prefixed, short
 from quadjax.core.section_keys import fields_at, value_at
-from quadjax.core.sections import BadValue, refuse
+from quadjax.core.sections import BadValue, Needs, refuse
+from quadjax.learners.schedules import Curriculum
+from quadjax.race.draws import Randomization
 from quadjax.race.random_track import FARTHEST
 from quadjax.race.track import check_lap
 from quadjax.vehicle.constants import declarations
@@ -22,6 +24,15 @@ SMALLEST_LEG = 0.01  # m
 EULER_DEG = 89.0  # largest pitch of a start with Euler angles
 MAX_THRUST = 1000.0  # times the weight
 INERTIA_TOLERANCE = 1.1  # of the triangle inequality, as moments of inertia are measured
+NEEDS = {  # keys that have an effect only with another one, which their fields name
+    f"{section}.{key}": item.key
+    for section in Config.model_fields
+    for key, field in fields_at(Config, [section]).items()
+    for item in field.metadata
+    if isinstance(item, Needs)
+}
+GROUPS = [x for x, f in Randomization.model_fields.items() if f.default == 0.0 and x != "all"]
+CURRICULUM = [f"curriculum.{name}" for name in Curriculum.model_fields]
 Values = Mapping[str, float]
 
 
@@ -117,25 +128,30 @@ def _check_effects(config: Config) -> None:
     if config.observation.disturbance == "estimated" and not model.can_be_disturbed:
         allowed = f"ground_truth or none with vehicle.model={name}"
         refuse("observation.disturbance", "estimated", allowed)
+    for key, needed in NEEDS.items():
+        if not _value(config, needed) and needed not in config.schedules:
+            _check_is_default(config, key, f"without {needed}")
     of_disturbance = [f"disturbance.{key}" for key in vars(config.disturbance)]
+    others = [f"randomization.{group}" for group in GROUPS if group not in model.groups]
+    drawn = config.randomization.drawn or any("randomization." in key for key in config.schedules)
+    by_level = any(schedule.by == "pass_rate" for schedule in config.schedules.values())
+    own_start = type(model).start_actuators is not VehicleModel.start_actuators
     for used, reason, keys in (
         (model.has_battery, f"with vehicle.model={name}", ["battery"]),
         (model.has_residual, f"with vehicle.model={name}", ["vehicle.residual"]),
         (model.can_be_disturbed, f"with vehicle.model={name}", of_disturbance),
-        (config.vehicle.residual, "without vehicle.residual", ["vehicle.residual_gain"]),
-        (
-            config.observation.actuators,
-            "without observation.actuators",
-            ["observation.actuator_range"],
-        ),
-        (
-            config.rules.speed_limit,
-            "without rules.speed_limit",
-            ["reward.overspeed", "reward.overspeed_margin"],
-        ),
+        (not others, f"with vehicle.model={name}", others),
+        (own_start, f"with vehicle.model={name}", ["start.thrust"]),
+        (drawn, "where randomization draws no constants", ["randomization.width"]),
+        (by_level, "without a schedule with by: pass_rate", CURRICULUM),
     ):
         for key in () if used else keys:
             _check_is_default(config, key, reason)
+
+
+def _value(config: Config, key: str) -> object:
+    """A value, or a section, of a config by its dotted key."""
+    return functools.reduce(getattr, key.split("."), config)
 
 
 def _check_is_default(config: Config, key: str, reason: str) -> None:
@@ -144,8 +160,7 @@ def _check_is_default(config: Config, key: str, reason: str) -> None:
         reason = f"has no effect {reason}; write schedules.{key}=null"
         raise BadValue(f"schedules.{key}", f"schedules: {key} {reason}")
     *location, name = key.split(".")
-    value = getattr(functools.reduce(getattr, location, config), name)
-    default = fields_at(Config, location)[name].default
+    value, default = _value(config, key), fields_at(Config, location)[name].default
     if value != default:
         refuse(key, value, f"{short(default)} {reason}")
 

@@ -18,6 +18,7 @@ from quadjax.core.sections import (
     Code,
     Field,
     FolderName,
+    Needs,
     Section,
 )
 from quadjax.core.yaml_files import to_yaml
@@ -86,7 +87,7 @@ class Vehicle(Section):
         description="residual networks: a residual or policy file (.npz), next to the config or by "
         "its path, or the name of a shipped one",
     )
-    residual_gain: float = Field(
+    residual_gain: Annotated[float, Needs("vehicle.residual")] = Field(
         1.0, ge=0, le=10, description="factor on the outputs of the residual networks"
     )
     quaternion: bool = Field(

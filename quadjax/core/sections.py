@@ -102,6 +102,17 @@ class Code:
     """Marks a field that may name code, as ``module:OBJECT``: ``Annotated[str, Code()]``."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Needs:
+    """Marks a field that has an effect only where another one of the config is set: not 0 or null.
+
+    ``Annotated[float, Needs("rules.gate_frame")]``; ``quadjax.config.checks`` refuses another value
+    than the default where it is not.
+    """
+
+    key: str
+
+
 def unit_of(field: FieldInfo) -> str | None:
     """The unit that a field declares."""
     return next((item.name for item in field.metadata if isinstance(item, Unit)), None)

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from quadjax.core.sections import Code, Field, Section
+from quadjax.core.sections import Code, Field, Needs, Section
 from quadjax.race.track import Span
 
 Source = Literal["ground_truth", "estimated", "none"]  # of an observed disturbance or limit
@@ -18,7 +18,7 @@ class Observation(Section):
         description="source of the observed external disturbance: the simulator, the onboard "
         "estimator, or zeros",
     )
-    highest_rpm: Source = Field(
+    highest_rpm: Annotated[Source, Needs("battery")] = Field(
         "estimated",
         description="source of the observed limit of the propeller speeds, with a battery, as for "
         "disturbance; none: it is not observed",
@@ -40,7 +40,7 @@ class Observation(Section):
     actuators: bool = Field(
         True, description="observe the actuators' state; false: for drones that do not measure it"
     )
-    actuator_range: Span | None = Field(
+    actuator_range: Annotated[Span | None, Needs("observation.actuators")] = Field(
         None,
         description="actuator states that are observed as -1 and 1, in the model's unit; null: "
         "their nominal range (arXiv 2504.21586: [0, 3000] rad/s)",

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.imports import user_numbers
-from quadjax.core.sections import Code, Field, Section, Unit
+from quadjax.core.sections import Code, Field, Needs, Section, Unit
 from quadjax.core.traced import UnusedAtZero, register
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.rules import HIT_A_GATE
@@ -46,10 +46,10 @@ class Reward(Section):
         0.0,
         description="penalty per m of clearance violation, in a step that passes or hits a gate",
     )
-    gate_edge_margin: Annotated[Penalty, Unit("m")] = Field(
+    gate_edge_margin: Annotated[Penalty, Unit("m"), Needs("reward.gate_edge")] = Field(
         0.1, description="required clearance from each edge of a gate's opening, m"
     )
-    gate_edge_reach: Annotated[Penalty, Unit("m")] = Field(
+    gate_edge_reach: Annotated[Penalty, Unit("m"), Needs("reward.gate_edge")] = Field(
         1.0,
         description="clearance violation in each axis above which the penalty is constant, m; at "
         "least that at the edge of a widened opening",
@@ -61,12 +61,12 @@ class Reward(Section):
         0.0,
         description="penalty per change of an action from step to step, each in -1 to 1, summed",
     )
-    overspeed: Penalty = Field(
+    overspeed: Annotated[Penalty, Needs("rules.speed_limit")] = Field(
         20.0,
         description="penalty per s and m/s of speed above the margin below rules.speed_limit, as a "
         "multiple of reward.progress; above 1, flying faster gains less than it loses",
     )
-    overspeed_margin: float = Field(
+    overspeed_margin: Annotated[float, Needs("rules.speed_limit")] = Field(
         0.03,
         ge=0,
         le=0.9,

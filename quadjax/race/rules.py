@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.imports import user_numbers
-from quadjax.core.sections import Code, Field, Section, Unit
+from quadjax.core.sections import Code, Field, Needs, Section, Unit
 from quadjax.core.traced import Traced, UnusedAtZero, register
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.random_track import FARTHEST
@@ -57,7 +57,7 @@ class Rules(Section):
         description="largest speed within ground_height of the ground, m/s, so that races can "
         "start on it; null: touching the ground is a collision",
     )
-    ground_height: float = Field(
+    ground_height: Annotated[float, Needs("rules.ground_speed")] = Field(
         0.4, ge=0, le=100, description="height below which ground_speed applies, m"
     )
     gate_frame: Annotated[float, UnusedAtZero()] = Field(
@@ -68,7 +68,7 @@ class Rules(Section):
         "between two samples may not touch; 0: a collision only where the plane of the target gate "
         "is crossed outside its opening",
     )
-    gate_depth: float = Field(
+    gate_depth: Annotated[float, Needs("rules.gate_frame")] = Field(
         0.1, gt=0, le=10, description="depth of the frames, half of it on each side, m"
     )
     body_rate_limit: Rate | tuple[Rate, Rate, Rate] | None = Field(

@@ -212,6 +212,18 @@ def test_a_schedule_in_an_override_replaces_the_whole():
 
 
 REFUSED = """
+rules.gate_depth=0.3 | rules.gate_depth is 0.3, allowed: 0.1 without rules.gate_frame
+rules.ground_height=1 | rules.ground_height is 1.0, allowed: 0.4 without rules.ground_speed
+reward.gate_edge_margin=0.2 | reward.gate_edge_margin is 0.2, allowed: 0.1 without reward.gate_edge
+reward.gate_edge_reach=2 | reward.gate_edge_reach is 2.0, allowed: 1.0 without reward.gate_edge
+curriculum.pass_rate=0.5 | is 0.5, allowed: 0.9 without a schedule with by: pass_rate
+curriculum.duration=0.5 | is 0.5, allowed: 0.25 without a schedule with by: pass_rate
+randomization.width=0.5 | width is 0.5, allowed: 1.0 where randomization draws no constants
+randomization.motor_map=0.1 | randomization.motor_map is 0.1, allowed: 0.0 with vehicle.model=motor
+observation.highest_rpm=none | highest_rpm is 'none', allowed: 'estimated' without battery
+observation.actuators=false observation.actuator_range=[0,9] | without observation.actuators
+start.thrust=[1,2] | start.thrust is [1.0, 2.0], allowed: [7.4, 7.6] with vehicle.model=motor
+'schedules.rules.gate_depth={linear: [0.1, 0.3]}' | rules.gate_depth has no effect without rules.ga
 steps=1000 | unknown key steps; did you mean run.steps?
 runs=3 | unknown key runs; did you mean evaluate.runs?
 num_envs=64 | did you mean learner.num_envs?
@@ -314,6 +326,12 @@ vehicle.constants.k_z=-1e-6 vehicle.constants.k_h=-0.01 vehicle.constants.k_rr=-
 'track.gates=[{position: [15, 0, -1]}, {position: [12, 0, -1]}]' \
   'schedules.rules.position_limit={linear: [20, 30]}'
 'schedules.reward.body_rates={linear: [0.1, value]}'
+vehicle.model=rate start.thrust=[1,2]
+rules.gate_frame=0.2 rules.gate_depth=0.3 rules.ground_speed=1 rules.ground_height=1
+reward.gate_edge_margin=0.2 'schedules.reward.gate_edge={linear: [0, 9]}'
+curriculum.pass_rate=0.5 'schedules.reward.gate={linear: [1, 2], by: pass_rate}'
+randomization.width=0.5 'schedules.randomization.all={linear: [0, 0.2]}'
+observation.highest_rpm=none 'battery={}'
 training_limits.gate_inflation=0.3 'reward={gate_edge: 5, gate_offset: 0}' \
   'schedules.reward.gate_edge={linear: [0, value]}'
 """.strip().splitlines()
