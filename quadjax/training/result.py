@@ -164,7 +164,8 @@ class MetricsFile:
     def write(self, row: Row) -> None:
         """Add a row."""
         self._rows.append(row)
-        write_csv(self._path, [list(row), *(list(old.values()) for old in self._rows)])
+        names = list(dict.fromkeys(name for each in [row, *self._rows] for name in each))
+        write_csv(self._path, [names, *([x.get(name, "") for name in names] for x in self._rows)])
         if self._events is not None:
             for name, value in row.items():
                 if math.isfinite(value):

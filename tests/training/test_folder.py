@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
@@ -14,7 +15,7 @@ from quadjax.core.folders import claim, kind_of, replacement
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.yaml_files import to_yaml
 from quadjax.training.folder import check_same, prepare_folder
-from quadjax.training.result import SUMMARY, MetricsFile, is_finished, saved_rows
+from quadjax.training.result import SUMMARY, MetricsFile, is_finished, read_metrics, saved_rows
 from tests.commands import run
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
@@ -214,3 +215,20 @@ def test_a_resumed_run_drops_the_rows_after_its_checkpoint(tmp_path):
         metrics.write({"steps": 300, "seconds": 9.0})
         metrics.close()
         assert [row["seconds"] for row in saved_rows(tmp_path / "metrics.csv")] == [*kept, 9]
+
+
+def test_a_row_with_other_metrics_keeps_the_columns_of_the_earlier_ones(tmp_path):
+    """Such as after an update of quadjax; a cell without a value is NaN."""
+    path = tmp_path / "metrics.csv"
+    path.write_text("steps,old,loss\n100,7,1\n")
+    metrics = MetricsFile(tmp_path, 100, False)
+    metrics.write({"steps": 200, "loss": 2.0, "new": 3.0})
+    metrics.close()
+    for _ in range(2):  # read by a run that resumes again, too
+        found = read_metrics(path)
+        assert set(found) == {"steps", "loss", "new", "old"}
+        np.testing.assert_array_equal(found["loss"][:2], [1, 2])
+        np.testing.assert_array_equal(found["old"][:2], [7, np.nan])
+        np.testing.assert_array_equal(found["new"][:2], [np.nan, 3])
+        metrics = MetricsFile(tmp_path, 200, False)
+        metrics.write({"steps": 300, "loss": 4.0, "new": 5.0})
