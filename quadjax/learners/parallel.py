@@ -36,9 +36,10 @@ def core_count() -> int:
 def prepare_devices(wanted: str | int) -> None:
     """Split the CPU into the number of devices that a run may use: auto, all, or a number.
 
-    Call it before JAX computes anything; later it has no effect.
+    Call it before JAX computes anything; later it has no effect. There are as many as cores at
+    most: ``choose_devices`` refuses a larger number.
     """
-    count = int(wanted) if str(wanted).isdigit() else core_count()
+    count = min(int(wanted) if str(wanted).isdigit() else core_count(), core_count())
     with contextlib.suppress(RuntimeError):
         jax.config.update("jax_num_cpu_devices", count)
 

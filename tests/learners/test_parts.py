@@ -14,7 +14,7 @@ from quadjax.core.errors import InputError
 from quadjax.learners import parallel
 from quadjax.learners.loop import plan_chunks
 from quadjax.learners.networks import ActorCritic
-from quadjax.learners.parallel import choose_devices
+from quadjax.learners.parallel import choose_devices, core_count, prepare_devices
 from quadjax.learners.ppo import PPO, Batch, loss
 from quadjax.learners.rollout import Steps, clip, run_epochs, td_lambda
 from quadjax.learners.shac import SHAC, make_policy_optimizer, total_return
@@ -207,3 +207,11 @@ def test_updates_are_shared_unless_they_have_code_of_the_user():
     assert own is not make_environment(terms)
     constants = (("g", 1.0),)
     assert with_critic_constants(own, constants) is not with_critic_constants(own, constants)
+
+
+def test_as_many_devices_as_cores_are_prepared_at_most(monkeypatch):
+    asked = []
+    monkeypatch.setattr(jax.config, "update", lambda _, count: asked.append(count))
+    for wanted in (1, "all", 4096):
+        prepare_devices(wanted)
+    assert asked == [1, core_count(), core_count()]
