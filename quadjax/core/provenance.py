@@ -2,10 +2,12 @@
 
 import contextlib
 import datetime
+import functools
 import hashlib
 import importlib.metadata
 import json
 import platform
+import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -30,13 +32,16 @@ def provenance(
         seed: of the random numbers; that of the config if not given.
 
     Returns:
-        ``quadjax`` and ``jax``, the versions; ``config``, its name and the SHA-256 of its values;
-        ``policy``, the file and its SHA-256 (null without a file); ``seed``; ``date``, UTC; and
-        ``device``. ``config``, ``policy`` and ``seed`` are null where the result has none.
+        ``quadjax`` and ``jax``, the versions; ``commit``, that of the checkout which quadjax runs
+        from, with ``-dirty`` after changes, null for an installed package; ``config``, its name and
+        the SHA-256 of its values; ``policy``, the file and its SHA-256 (null without a file);
+        ``seed``; ``date``, UTC; and ``device``. ``config``, ``policy`` and ``seed`` are null where
+        the result has none.
     """
     device = jax.devices()[0]
     return {
         "quadjax": __version__,
+        "commit": commit(),
         "jax": importlib.metadata.version("jax"),
         "config": config
         and {"name": getattr(config, "name", None), "sha256": hash_of_config(config)},
@@ -47,9 +52,25 @@ def provenance(
     }
 
 
+@functools.cache
+def commit() -> str | None:
+    """The commit of the checkout that this package is in; None without one, or without Git."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        found = subprocess.run(
+            [*command, "--exclude=*"], capture_output=True, text=True, timeout=10, check=True
+        )
+        return found.stdout.strip() or None
+    return None
+
+
 def line_of(origin: dict[str, Any]) -> str:
     """A ``provenance`` with a config as a line of text."""
-    versions = f"quadjax {origin['quadjax']}, JAX {origin['jax']}, {origin['date']}"
+    source = f" ({origin['commit']})" if origin["commit"] else ""
+    versions = f"quadjax {origin['quadjax']}{source}, JAX {origin['jax']}, {origin['date']}"
     return f"{versions}; SHA-256 of the config: {origin['config']['sha256']}"
 
 
