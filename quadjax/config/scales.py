@@ -140,8 +140,8 @@ def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
         written[location] = (node, _in_unit(value, unit, scales().time_step))
         return written[location][1]
 
-    keys = sorted((k for k in tree if k not in ("track", "vehicle")), key=lambda k: k != "rules")
-    return {**tree, **{key: convert(tree[key], (key,)) for key in keys}}, written
+    kept = ("track", "vehicle")  # which the units depend on
+    return {k: x if k in kept else convert(x, (k,)) for k, x in tree.items()}, written
 
 
 def _unit_of(location: Location, learner: type[Section]) -> str | None:
