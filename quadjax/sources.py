@@ -1,6 +1,7 @@
 """Flights of any source: a training run, a policy, a file of flights, or a flight log."""
 
 import glob
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -158,8 +159,8 @@ def load_groups(
         label, pattern = (label.strip(), pattern) if equals else ("", word)
         if equals and not label:
             raise InputError(f"{word}: expected LABEL=FILE")
-        file = Path(pattern).expanduser()  # whose name may have the characters of a pattern
-        paths = [str(file)] if file.is_file() else sorted(glob.glob(str(file)))
+        file = str(Path(pattern).expanduser())  # whose name may have the characters of a pattern
+        paths = [file] if os.path.isfile(file) else sorted(glob.glob(file))
         if not pattern:
             raise InputError(f"{word or repr(word)}: expected LABEL=FILE")
         if not paths:

@@ -1,5 +1,6 @@
 """Loading a training config: the merge of its layers, its sections, and one check."""
 
+import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -53,7 +54,7 @@ def load_config(
     Raises:
         InputError: one line that names the file, the key, the value and what is allowed.
     """
-    name, *words = [str(config)] if Path(config).exists() else WORDS.split(str(config))
+    name, *words = [str(config)] if os.path.exists(config) else WORDS.split(str(config))
     words = [*words, *overrides]
     path = find_config(name)
     parts = [word[1:] for word in words if word.startswith("+")]

@@ -59,6 +59,13 @@ def test_the_table_has_every_flight_the_fastest_in_bold(groups, monkeypatch):
     assert flights_table(groups).format("text") == text  # in a notebook too
 
 
+def test_a_file_is_not_taken_for_a_pattern(tmp_path):
+    for name, seconds in (("a.npz", 3.0), ("[a].npz", 4.0)):
+        states_file(tmp_path / name, [seconds])
+    (flights,) = load_groups([f"{tmp_path}/[a].npz"], RACE.track).values()
+    assert [flight.total for flight in flights] == [8.0]
+
+
 def test_a_report_has_the_gates_that_were_flown(groups):
     other = load_config("e2e", ["track=figure8"])
     assert Report(groups, other).gates == RACE.track.gates
