@@ -193,7 +193,8 @@ w first, rotation matrices nine elements. Of `paparazzi` only rows with `autopil
 used; body velocity is computed, and the accelerometer's bias subtracted. In `plain` logs commanded
 speeds, attitude and position are optional."""
 WRITE = """\
-`quadjax show FILE --write vehicle KEY=VALUE ..` writes the constants of `motor` from these data."""
+`quadjax show FILE --write vehicle KEY=VALUE ..` writes the constants of `motor`, `racing` and
+`rate` from these data."""
 
 
 def _training_sections() -> list[tuple[str, list[KeyInfo]]]:

@@ -169,9 +169,12 @@ def keys_text(kind: str) -> str:
 def write_vehicle(path: Path, data: Sequence[str]) -> None:
     """Write the file of a vehicle from data of its airframe, ``KEY=VALUE``."""
     airframe = validate(Airframe, parse_overrides(data), OVERRIDES)
-    motor = {name: float(f"{value:.6g}") for name, value in airframe.motor_constants().items()}
+    models = {
+        model: {name: float(f"{value:.6g}") for name, value in constants.items()}
+        for model, constants in airframe.constants().items()
+    }
     width = round(airframe.width, 4)
-    drone = VehicleFile(path.stem, {"motor": motor}, mass=airframe.mass, width=width)
+    drone = VehicleFile(path.stem, models, mass=airframe.mass, width=width)
     comment = f"From {' '.join(data)}\n{COMMENT}"
     vehicle_file.write_vehicle(path, drone, comment)
 

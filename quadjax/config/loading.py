@@ -221,6 +221,7 @@ def _with_constants(vehicle: Vehicle) -> Vehicle:
         raise BadValue(key, f"unknown key {key}{hint}; {allowed}")
     for key in (key for key in names if key not in constants):
         others = f"{vehicle.name} has constants of: {', '.join(models) or 'no model'}"
+        others += "" if constants else f"; allowed: one of these models, or a section {model.name}"
         raise BadValue("vehicle.name", f"vehicle.constants.{key} is missing; {others}")
     return vehicle.replace(
         constants={key: constants[key] for key in names},

@@ -298,5 +298,7 @@ def _location(error: Mapping[str, Any], tree: object) -> tuple[str | int, ...]:
 
 def _allowed(error: Mapping[str, Any]) -> str:
     """What pydantic allows: "greater than 0", of "Input should be greater than 0"."""
-    text = re.sub(r"^\w+ should (be |have )?", "", error["msg"])
+    text, value = re.sub(r"^\w+ should (be |have )?", "", error["msg"]), error["input"]
+    if error["type"] == "tuple_type" and isinstance(value, str) and len(value.split(",")) > 1:
+        return f"a list: [{short(value)[1:-1]}]"
     return ALLOWED.get(error["type"], text.partition(" after validation")[0])

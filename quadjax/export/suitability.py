@@ -37,7 +37,8 @@ def target_of(name: str, model: str) -> Target:
     allowed = [name for name in MODELS if kind_of(name) in target.kinds]
     raise InputError(
         f"--target {name}: the policy's vehicle model is {model!r}, allowed: {', '.join(allowed)}; "
-        "quadjax train e2e vehicle=5inch trains such a policy"
+        "quadjax train e2e_race vehicle=5inch trains such a policy, and with vehicle.model=racing "
+        "any vehicle file that quadjax show --write vehicle wrote"
     )
 
 

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
-from quadjax.vehicle import motor, rate
+from quadjax.vehicle import motor, racing, rate
 from quadjax.vehicle.airframe import Airframe
+from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.summary import summarize, turns
+from quadjax.vehicle.vehicle_file import read_vehicle
 from tests import reference as ref
 from tests.commands import run
 
@@ -56,9 +58,12 @@ def test_the_bebop_from_its_airframe():
     frame = Airframe(
         mass=0.389, wheelbase=0.22, propeller=0.14, rpm_max=11000.0, thrust_to_weight=2.15
     )
-    for name, value in frame.motor_constants().items():
+    found = frame.constants()
+    for name, value in found["motor"].items():
         if value > 0 and name not in ("rpm_min", "tau"):
             assert 0.5 < value / ref.MOTOR[name] < 2.0, name
+    for name in ("d_x", "d_y", "tau_rate", "tau_thrust", "r_max", "thrust_max"):
+        assert 0.5 < found["rate"][name] / ref.RATE[name] < 2.0, name
 
 
 def test_a_file_from_data(tmp_path, capsys):
@@ -72,6 +77,81 @@ def test_a_file_from_data(tmp_path, capsys):
     assert config.vehicle.name == "mine" and config.vehicle.constants["tau"] == 0.03
     assert run("show", path, "--write", "vehicle", *DATA) == 2
     assert "already exists" in capsys.readouterr().err
+
+
+SIX_INCH = "mass=0.9 propeller=0.1524 rpm_max=24000 tau=0.035 torque_ratio=0.012"
+INERTIA = (0.0035, 0.004, 0.006)
+
+
+def test_one_drone_in_three_models(tmp_path, capsys):
+    """By the data: 14 N at 0.13 m; motors 1 and 4 at full speed and 2 and 3 idle roll the drone."""
+    path = tmp_path / "mine.yaml"
+    data = (*SIX_INCH.split(), "arm=0.13", "max_thrust=14", f"inertia={list(INERTIA)}")
+    assert run("show", path, "--write", "vehicle", *data) == 0
+    motors, racers, _ = capsys.readouterr().out.split("mine, model ")[1:]
+    shown = [motors.split("rpm", 1)[1], racers.split("rad/s", 1)[1]]
+    assert shown[0] == shown[1]  # percent of the hover, thrust, rates, lag
+    assert "6.34" in motors and "45.3 rad/s within" in motors and "39.6 rad/s within" in motors
+    of = {model: read_vehicle(str(path)).constants(model) for model in ("motor", "racing", "rate")}
+    arm, most, idle = 0.13 / math.sqrt(2), 14.0, 14.0 * 0.12**2
+    roll = 2 * arm * (most - idle) / INERTIA[0]
+    c = of["racing"]
+    assert c.k_p.w1 * 2 * (c.w_max**2 - c.w_min**2) == pytest.approx(roll, rel=1e-4)
+    assert of["rate"].p_max == pytest.approx(0.5 * 0.035 * roll, rel=1e-4)
+    assert of["rate"].thrust_max == pytest.approx((9.81 + 4 * most / 0.9) / 2, rel=1e-4)
+    speeds, changes = np.random.default_rng(1).uniform(300, 2500, (2, 4))
+    rpm, rates = (motor.Rotors(*(x * 30 / math.pi)) for x in (speeds, changes))
+    still, inertia = motor.Vec3(0.0, 0.0, 0.0), np.array(INERTIA)
+    moment = motor.nominal_moment(of["motor"], rpm, rates, still, still).array()
+    spin = racing.nominal_spin(c, motor.Rotors(*speeds), motor.Rotors(*changes)).array()
+    np.testing.assert_allclose(spin, moment / inertia, rtol=1e-4)
+    velocity = motor.Vec3(3.0, -2.0, 0.0)
+    force = motor.nominal_force(of["motor"], rpm, velocity).array()
+    same = racing.nominal_force(c, motor.Rotors(*speeds), velocity).array()
+    np.testing.assert_allclose(same, force, rtol=1e-4)
+    for preset, model in (("e2e_race", "motor"), ("indi_race", "rate"), ("e2e_race", "racing")):
+        config = load_config(preset, [f"vehicle={path}", f"vehicle.model={model}"])
+        assert config.vehicle.constants == pytest.approx(values_of(of[model]))
+
+
+LENGTHS = """
+wheelbase=0.26 | 0.0919 0.0919
+arm=0.13 wheelbase=0.26 | 0.0919 0.0919
+arm_x=0.0919 arm_y=0.0919 | 0.0919 0.0919
+arm_x=0.08 arm_y=0.1 wheelbase=0.256 | 0.08 0.1
+arm=0.13 arm_x=0.12 | 0.12 0.05
+arm=0.13 arm_y=0.12 | 0.05 0.12
+"""
+
+
+@pytest.mark.parametrize("line", LENGTHS.strip().splitlines())
+def test_the_arms_of_a_frame(line):
+    data, arms = line.split(" | ")
+    lengths = {key: float(value) for key, value in (x.split("=") for x in data.split())}
+    frame = Airframe(mass=0.5, propeller=0.09, rpm_max=30000.0, **lengths)
+    assert frame.arms == pytest.approx([float(x) for x in arms.split()], rel=1e-3)
+
+
+REFUSED = """
+wheelbase=0.26 arm_x=0.13 arm_y=0.13 | wheelbase is 0.26, but by arm_x and arm_y a motor is 0.1838
+wheelbase=0.26 arm=0.26 | arm is 0.26, but by wheelbase a motor is 0.13 m
+arm=0.13 arm_x=0.15 | arm_x is 0.15, allowed: below arm, 0.13
+arm_x=0.1 | wheelbase is null, allowed: a number, or arm, or arm_x and arm_y
+arm=0.1 | propeller is 0.1524, allowed: a diameter up to 0.1414 m, the distance of adjacent motors
+arm=0.13 motor_kv=900 | motor_kv is 900, allowed: null with rpm_max
+arm=0.13 max_thrust=9 thrust_to_weight=4 | max_thrust is 9, allowed: null with thrust_to_weight
+arm=0.13 inertia=0.1,0.2,0.3 | inertia is '0.1,0.2,0.3', allowed: a list: [0.1,0.2,0.3]
+arm=0.13 maxthrust=9 | did you mean max_thrust?
+"""
+
+
+@pytest.mark.parametrize("line", REFUSED.strip().splitlines())
+def test_data_that_contradict_or_have_no_effect(line, tmp_path, capsys):
+    data, error = line.split(" | ")
+    words = (*SIX_INCH.split(), *data.split())
+    assert run("show", tmp_path / "mine.yaml", "--write", "vehicle", *words) == 2
+    printed = capsys.readouterr().err.strip()
+    assert error in printed and "\n" not in printed
 
 
 def test_the_data_are_listed_with_their_defaults(capsys):
