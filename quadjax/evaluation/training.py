@@ -1,5 +1,7 @@
 """What ``quadjax train`` writes and prints of a run, and the trainings of several seeds."""
 
+import math
+import shlex
 import subprocess
 import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -18,11 +20,13 @@ from quadjax.core.provenance import provenance
 from quadjax.evaluation.curves import check_lengths, learning_figure, training_figure
 from quadjax.evaluation.evaluate import Evaluation, evaluate, joined
 from quadjax.evaluation.published import first_under, published_total
+from quadjax.flights.flight import Flight
 from quadjax.policy.file import Policy
 from quadjax.training.folder import check_same
 from quadjax.training.result import Run, is_finished, read_metrics, read_summary
-from quadjax.training.score import no_lap
+from quadjax.training.score import GUIDE, no_lap
 
+LAST, FINISHING = 3, 0.9  # evaluations at the end of a training, and the share that has to finish
 COLUMNS = {  # key of a result: title, scale and format of the cell
     "seed": ("seed", 1.0, ".0f"),
     "seconds": ("train s", 1.0, ".0f"),
@@ -65,7 +69,51 @@ def write_evaluation(run: Run) -> str:
     elif run.summary["best_lap_total"] is None:
         crashes = [why for result in results for why in result.laps.crashes]
         lines.append(no_lap(crashes, run.summary["steps"]))
+    else:
+        lines += [*_last_evaluations(run), *_next_step(run, results[-1].flights)]
     return "\n".join(lines)
+
+
+def wide_margin(config: Config) -> str:
+    """A line where the reward's margin is most of what the narrowest opening leaves, or nothing."""
+    margin, key = config.reward.gate_edge_margin, "reward.gate_edge_margin"
+    half = 0.5 * min(side for gate in config.track.gates for side in gate.size)
+    left = half - config.rules.body_radius
+    if not config.reward.gate_edge or margin <= 0.5 * left:
+        return ""
+    return (
+        f"{key} is {margin:.2f} m of the {left:.2f} m from the center to the edge of the narrowest "
+        f"opening: safe and slow; '{key}=0.03 legs' is between e2e_race and e2e_race_robust"
+    )
+
+
+def _last_evaluations(run: Run) -> list[str]:
+    """A line where few flights of the last evaluations of a training finish."""
+    shares = run.metrics.get("finished", np.ones(1))[-LAST:]
+    if shares.mean() >= FINISHING:
+        return []
+    listed = ", ".join(f"{100.0 * share:.0f}%" for share in shares)
+    best, steps = (_amount(run.summary[key]) for key in ("best_steps", "steps"))
+    return [
+        f"at the end of the training only {listed} of the flights finish; policy.npz is that of "
+        f"{best} steps, of {steps}; see {GUIDE}"
+    ]
+
+
+def _next_step(run: Run, flights: Sequence[Flight]) -> list[str]:
+    """The smallest clearance of flights against the drone's width, and what to run next."""
+    half, radius = 0.5 * run.config.vehicle.width, run.config.rules.body_radius
+    near = min((float(x) for flight in flights for x in flight.passages[:, 2]), default=math.inf)
+    width = f"half of the drone's width is {half:.2f} m" if half else "vehicle.width is not set"
+    lines = [f"smallest clearance of the deterministic flights: {near:.2f} m; {width}"]
+    command = f"next: quadjax evaluate --policy {shlex.quote(str(run.folder))}"
+    if radius < half or not radius:
+        body = f"{math.ceil(100.0 * half) / 100.0:g}" if half else "RADIUS"
+        remedy = f"; train with rules.body_radius={body} rules.gate_test=interpolated"
+        lines.append(f"{command} --body {body}{remedy if near < half or not half else ''}")
+    elif not run.config.randomization.drawn:
+        lines.append(f"{command} --conditions spread, or --plant; e2e_race_robust trains for these")
+    return lines if math.isfinite(near) else lines[1:]
 
 
 def _episodes(config: Config) -> dict[str, Any]:

@@ -71,9 +71,9 @@ class TrainingProgress:
             self._logged = now
             self.note(f"{self._name}: {status}")
 
-    def show(self, row: Row, finished: float = 1.0) -> None:
-        """Show one row of metrics, and the share of the flights that finish."""
-        status, now = describe(row, self._length, finished), time.monotonic()
+    def show(self, row: Row) -> None:
+        """Show one row of metrics."""
+        status, now = describe(row, self._length), time.monotonic()
         if self._console.is_terminal:
             self._bar.update(self._task, completed=row["steps"], status=status)
         elif now - self._logged >= LOG_SECONDS or row["steps"] >= self._total:
@@ -90,7 +90,7 @@ class TrainingProgress:
             print(text, file=sys.stderr, flush=True)
 
 
-def describe(row: Row, length: str, finished: float = 1.0) -> str:
+def describe(row: Row, length: str) -> str:
     """A row of metrics in about 40 characters: times of ``length`` once a flight completes it.
 
     Where not all of the flights finish, it is the score: their mean total time, s, with the time
@@ -103,6 +103,6 @@ def describe(row: Row, length: str, finished: float = 1.0) -> str:
         return reward + crashes
     total = f"{row['lap_total']:.2f}" if math.isfinite(row["lap_total"]) else "-"
     best = f"best {row['best_lap_total']:.2f}"
-    if finished < 1.0:
+    if (finished := row.get("finished", 1.0)) < 1.0:
         return f"{speed}  {100.0 * finished:.0f}% finish, score {total}, {best}"
     return f"{speed}  {length} {total} s, {best}"

@@ -160,7 +160,7 @@ def _run(
         row = _row(job.config, progress, run_state, laps)
         metrics.write(row)
         if display is not None:
-            display.show(row, laps.finished / len(laps.crashes))
+            display.show(row)
             if progress.steps >= advise_at and not math.isfinite(run_state.best_score):
                 advise_at = math.inf
                 display.note(no_lap(laps.crashes, progress.steps))
@@ -186,6 +186,7 @@ def _row(config: Config, progress: Progress, run_state: RunState, laps: Laps) ->
         f"best_{name}": sign * run_state.best_score,
         **progress.row,
         **gap(config, laps),
+        "finished": laps.finished / len(laps.crashes),
     }
 
 

@@ -10,7 +10,7 @@ from quadjax.core.plotting import save_figure
 from quadjax.core.resources import CONFIGS
 from quadjax.evaluation.conditions import read_conditions
 from quadjax.evaluation.curves import COLORS, learning_figure, spread, training_figure
-from quadjax.evaluation.evaluate import Evaluation
+from quadjax.evaluation.evaluate import Evaluation, evaluate
 from quadjax.evaluation.rows import Row
 from quadjax.evaluation.training import (
     COLUMNS,
@@ -18,9 +18,11 @@ from quadjax.evaluation.training import (
     evaluate_seed,
     format_seeds,
     train_once,
+    wide_margin,
     write_evaluation,
 )
-from quadjax.training.result import read_metrics
+from quadjax.policy.file import Policy
+from quadjax.training.result import Run, read_metrics
 from quadjax.training.run import train
 from tests.evaluation.support import flights
 from tests.surface.short import OF_EACH, OF_LEARNER, short_config
@@ -84,6 +86,62 @@ def test_configs_have_names_that_differ():
     assert list(configs_of(["e2e", "e2e +fastest name=other"], [])) == ["e2e", "other"]
     with pytest.raises(InputError, match="named mine"):
         configs_of(files, ["name=mine"])
+
+
+NEXT = {  # by the width of the drone and the radius of its training, in the race of e2e +fastest
+    ("0.34", "0"): "--body 0.17; train with rules.body_radius=0.17 rules.gate_test=interpolated",
+    ("0", "0"): "--body RADIUS; train with rules.body_radius=RADIUS rules.gate_test=interpolated",
+    ("0.01", "0"): "--body 0.01",
+    ("0.01", "0.011"): "--conditions spread, or --plant; e2e_race_robust trains for these",
+}
+
+
+def smallest_clearance(flight):
+    """Where straight lines between samples cross the planes of the gates, from the edges, m."""
+    found = []
+    for gate in flight.gates:
+        forward, right, down = np.array(gate.axes).T
+        place = flight["position"] - gate.position
+        ahead, across = place @ forward, np.abs(np.stack([place @ right, place @ down], 1))
+        for i in np.flatnonzero((ahead[:-1] < 0) & (ahead[1:] >= 0)):
+            part = -ahead[i] / (ahead[i + 1] - ahead[i])
+            inside = across[i] + part * (across[i + 1] - across[i])  # no sign changes near an edge
+            found += [0.5 * gate.size[0] - inside.max()] if inside.max() < 0.6 else []
+    return min(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("numbers", NEXT)
+def test_a_training_ends_with_what_its_flights_leave_and_what_to_run_next(numbers, tmp_path):
+    width, radius = numbers
+    changes = [f"vehicle.width={width}", f"rules.body_radius={radius}", "evaluate.laps=1"]
+    config = load_config("e2e +fastest", [*changes, "rules.gate_test=interpolated"])
+    summary = {"best_lap_total": 3.0, "best_steps": 500_000, "steps": 1_500_000, "devices": 1}
+    run = Run(config, tmp_path, Policy.load("e2e_fastest"), True, summary | {"seconds": 1.0})
+    head = "steps,seconds,lap_total,finished\n5e5,1,9,"
+    write_text(tmp_path / "metrics.csv", f"{head}1\n1e6,2,9,0.9\n1e6,3,9,0.5\n1.5e6,4,9,0\n")
+    last, clearance, command = write_evaluation(run).splitlines()[-3:]
+    assert "only 90%, 50%, 0% of the flights finish; policy.npz is that of 0.5 million" in last
+    flown = evaluate(run.policy, config, deterministic=True).flights
+    known = f"half of the drone's width is {float(width) / 2:.2f} m"
+    known = known if float(width) else "vehicle.width is not set"
+    least = min(map(smallest_clearance, flown))
+    assert 0 < least < 0.1
+    assert clearance == f"smallest clearance of the deterministic flights: {least:.2f} m; {known}"
+    assert command == f"next: quadjax evaluate --policy {tmp_path} {NEXT[numbers]}"
+    write_text(tmp_path / "metrics.csv", f"{head}0\n" + "1e6,2,9,0.95\n" * 3)
+    assert "at the end of the training" not in write_evaluation(run)
+
+
+def test_a_margin_that_takes_most_of_an_opening():
+    """Openings of 1 m, a mean leg of 3.5 m."""
+    robust, body = load_config("e2e_race_robust"), ["rules.body_radius=0.16"]
+    assert wide_margin(load_config("e2e_race", body)) == wide_margin(robust) == ""
+    text = wide_margin(load_config("e2e_race_robust", body))
+    assert text.startswith("reward.gate_edge_margin is 0.25 m of the 0.34 m from the center")
+    body += ["reward.gate_edge_margin=0.03 legs"]
+    assert wide_margin(load_config("e2e_race_robust", body)) == ""
+    assert wide_margin(load_config("e2e", body[:1])) == ""  # has no penalty at the edges
 
 
 def make_run(folder, times, seconds_each=10.0, config="e2e_ppo.yaml", overrides=()):

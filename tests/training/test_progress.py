@@ -49,9 +49,13 @@ def test_bar_percentage_time_and_laps_fit_in_80_columns():
             assert "62%" in line and ":" in line and "265 k/s" in line
             assert "━" in line and "…" not in line.replace(name[:15] + "…", "")
             assert ("reward 0.123  crashes 40%" if laps > 1000 else f"6 laps {laps:.2f} s") in line
-    assert describe(ROW, "6 laps", 0.8).endswith("  80% finish, score 15.80, best 15.70")
+    assert describe(ROW | {"finished": 0.8}, "6 laps").endswith(
+        "  80% finish, score 15.80, best 15.70"
+    )
     no_lap = ROW | {"lap_total": float("inf")}
-    assert describe(no_lap, "19 gates", 0.0).endswith("  0% finish, score -, best 15.70")
+    assert describe(no_lap | {"finished": 0.0}, "19 gates").endswith(
+        "  0% finish, score -, best 15.70"
+    )
 
 
 def test_a_compilation_shows_its_seconds(monkeypatch, capsys):
