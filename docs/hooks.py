@@ -40,6 +40,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "reference/commands.md": commands_page,
     }
     for path, page in pages.items():
+        if note := files.get_file_from_path(path):  # in the repository: says where the page is
+            files.remove(note)
         files.append(File.generated(config, path, content=page()))
     for path in sorted((Path(__file__).parent / "gallery").glob("*.json")):
         name = f"gallery/{path.stem}.html"

@@ -1,8 +1,10 @@
 """Form of the Markdown pages: line lengths, tables, links, files and blocks.
 
-The links of the pages in ``docs/`` are checked by the build of the site, in ``test_site.py``.
+Links to titles within ``docs/`` are checked by the build of the site, in ``test_site.py``.
 """
 
+import fnmatch
+import json
 import re
 
 from tests.docs.pages import PAGES, ROOT, blocks_of, name_of
@@ -10,6 +12,7 @@ from tests.docs.pages import PAGES, ROOT, blocks_of, name_of
 MAX_LINE, MAX_COLUMNS, MAX_README = 100, 7, 90
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 CODE = re.compile(r"```.*?```|`[^`\n]*`", re.DOTALL)
+GENERATED = re.compile(r"<!-- test: generated: (\S+) -->")
 FILE = re.compile(r"(?<![\w/.])(?:examples|quadjax|scripts|tests)/[\w/]+\.py")
 TEXTS = {page: page.read_text(encoding="utf-8") for page in PAGES}
 
@@ -25,19 +28,36 @@ def test_lines_and_tables_are_narrow():
     assert len(TEXTS[ROOT / "README.md"].splitlines()) <= MAX_README
 
 
-def test_links_of_pages_outside_the_site_lead_somewhere():
-    lost = []
-    for page in (page for page in PAGES if not page.is_relative_to(ROOT / "docs")):
-        for target in LINK.findall(CODE.sub("", TEXTS[page])):
-            if "://" in target:
-                continue
+def test_links_lead_to_files_of_the_repository():
+    """Also without the site; ``<!-- test: generated: PATTERN -->`` names files that it adds."""
+    notebooks = {
+        path: "".join(text for cell in cells_of(path) for text in cell)
+        for path in sorted((ROOT / "notebooks").glob("*.ipynb"))
+    }
+    lost, generated = [], 0
+    for page, text in (TEXTS | notebooks).items():
+        patterns = GENERATED.findall(text)
+        for target in LINK.findall(CODE.sub("", text)):
             path, _, anchor = target.partition("#")
+            if "://" in target or target.startswith("mailto:"):
+                continue
+            if any(fnmatch.fnmatch(path, pattern) for pattern in patterns):
+                generated += 1
+                continue
             file = (page.parent / path).resolve() if path else page
             titles = re.findall(r"^#+ (.+)$", TEXTS.get(file, ""), re.MULTILINE)
             anchors = {re.sub(r"[^\w -]", "", x).lower().replace(" ", "-") for x in titles}
-            if not file.exists() or (anchor and anchor not in anchors):
+            site = page.is_relative_to(ROOT / "docs")  # its build checks the anchors
+            if not file.exists() or (anchor and not site and anchor not in anchors):
                 lost.append(f"{name_of(page)}: {target}")
     assert not lost
+    assert generated
+
+
+def cells_of(notebook):
+    """The lines of each cell of text."""
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    return [cell["source"] for cell in cells if cell["cell_type"] == "markdown"]
 
 
 def test_files_of_the_repository_exist():
