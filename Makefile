@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 WORKERS ?= logical
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train train-indi test test-all docs lint types format benchmark notebooks results clean
+.PHONY: help setup train train-indi test test-slow test-all docs lint types format benchmark notebooks results clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{sub(/:.*/, "", $$1); printf "  make %-12s %s\n", $$1, $$2}'
@@ -36,12 +36,14 @@ test: $(VENV)/.test ## lint and run the tests that take seconds
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest -m 'not slow' -n $(WORKERS) --dist worksteal
 
-test-all: $(VENV)/.test-all ## lint, all tests, the type checker, and the documentation
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
+test-slow: $(VENV)/.test-all ## what make test leaves out: types, documentation, slow tests
 	$(BIN)/python -m mypy
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+	$(BIN)/python -m pytest -m slow -n $(WORKERS) --dist worksteal
+
+test-all: setup ## make test and make test-slow
+	$(MAKE) test
+	$(MAKE) test-slow
 
 docs: $(VENV)/.docs ## build the documentation into build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet

@@ -107,10 +107,10 @@ def _next_step(run: Run, flights: Sequence[Flight]) -> list[str]:
     width = f"half of the drone's width is {half:.2f} m" if half else "vehicle.width is not set"
     lines = [f"smallest clearance of the deterministic flights: {near:.2f} m; {width}"]
     command = f"next: quadjax evaluate --policy {shlex.quote(str(run.folder))}"
-    if radius < half or not radius:
+    if near < half or not (half or radius):
         body = f"{math.ceil(100.0 * half) / 100.0:g}" if half else "RADIUS"
-        remedy = f"; train with rules.body_radius={body} rules.gate_test=interpolated"
-        lines.append(f"{command} --body {body}{remedy if near < half or not half else ''}")
+        remedy = f"train with rules.body_radius={body} rules.gate_test=interpolated"
+        lines.append(f"{command} --body {body}; {remedy}")
     elif not run.config.randomization.drawn:
         lines.append(f"{command} --conditions spread, or --plant; e2e_race_robust trains for these")
     return lines if math.isfinite(near) else lines[1:]

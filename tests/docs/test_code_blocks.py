@@ -185,9 +185,28 @@ def test_blocks_can_be_run():
 
 
 def commands_of(code: str) -> list[list[str]]:
-    """The arguments of each command; lines may continue with a backslash."""
+    """The arguments of each command but ``source``; lines may continue with a backslash."""
     lines = code.replace("\\\n", " ").splitlines()
-    return [words for words in (shlex.split(line, comments=True) for line in lines) if words]
+    commands = (shlex.split(line, comments=True) for line in lines)
+    return [words for words in commands if words and words[0] != "source"]
+
+
+def test_no_page_trains_a_run_that_another_one_has():
+    """Whoever reads on after ``make train`` needs neither --overwrite nor another folder."""
+    runs, twice = {"e2e": "make train"}, []
+    for page in GUIDE:
+        blocks = [block for block in blocks_of(page) if block.language == "sh"]
+        named = dict(re.findall(r"title=\"(\S+)\"\n(?:.*\n)*?name: (\S+)", page.read_text("utf-8")))
+        for block in (block for block in blocks if not block.skipped):
+            for words in commands_of(block.code):
+                if words[1] != "train" or {"--resume", "--overwrite", "--seeds"} & {*words}:
+                    continue
+                parts = [named.get(words[2], words[2]), *(x[1:] for x in words if x[0] == "+")]
+                name = words[words.index("--name") + 1] if "--name" in words else "_".join(parts)
+                where = f"{name_of(page)}:{block.line}"
+                twice += [f"{where}: {name}, as {runs[name]}"] if name in runs else []
+                runs.setdefault(name, where)
+    assert len(runs) > 20 and not twice
 
 
 def kind_of(words: list[str]) -> str:
