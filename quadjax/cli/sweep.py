@@ -49,6 +49,7 @@ def sweep(
         with prefixed("--output"):
             writable_folder(str(output))
     with loading():
+        from quadjax.evaluation.table import counted
         from quadjax.sweeps.report import write_report
         from quadjax.sweeps.study import State, load_study, progress, trials_over
         from quadjax.sweeps.sweep import load_sweep
@@ -57,7 +58,8 @@ def sweep(
     plan = load_sweep(find_config(config, "sweeps"), changes)
     folder = output / plan.file.name
     if check:
-        print(f"{config}: {plan.trials} trials of {plan.file.objective.seeds} seeds can run")
+        trials, seeds = (counted(plan.trials, "trial"), counted(plan.file.objective.seeds, "seed"))
+        print(f"{config}: {trials} of {seeds} can run")
         return 0
     if report:
         check_kind(folder, "sweep", () if overwrite else FILES)
@@ -75,6 +77,7 @@ def sweep(
 def _run(plan: "Sweep", folder: Path, overwrite: bool) -> tuple["Study", bool]:
     """Run the trials and print their report; returns the study, and False if it was stopped."""
     with loading():
+        from quadjax.evaluation.table import counted
         from quadjax.sweeps.report import write_report
         from quadjax.sweeps.run import run_sweep, train_and_fly
         from quadjax.sweeps.study import delete_study, open_study
@@ -86,7 +89,8 @@ def _run(plan: "Sweep", folder: Path, overwrite: bool) -> tuple["Study", bool]:
             delete_study(plan, folder)
             remove_files(folder, FILES)
         pool = RayWorkers(executor) if executor.kind == "ray" else LocalWorkers(executor, logs)
-        print(f"{plan.file.name}: {plan.trials} trials, {pool.count} workers ({executor.kind})")
+        size = f"{counted(plan.trials, 'trial')}, {counted(pool.count, 'worker')}"
+        print(f"{plan.file.name}: {size} ({executor.kind})")
         ended = run_sweep(plan, folder, pool, train_and_fly)
         study = open_study(plan, folder)
         print(write_report(study, plan, folder))

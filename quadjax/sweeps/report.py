@@ -1,11 +1,9 @@
-"""The report of a sweep: a table of its trials, Optuna's figures, and the best config."""
+"""The report of a sweep: a table of its trials, figures, and the best config."""
 
-import contextlib
 import math
 import shlex
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import optuna
 from optuna.trial import FrozenTrial
 
@@ -15,6 +13,8 @@ from quadjax.core.files import write_csv, write_text
 from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import line_of, provenance
+from quadjax.evaluation.table import counted
+from quadjax.sweeps.figures import figures
 from quadjax.sweeps.study import OVER, State, number_of, trials_over
 from quadjax.sweeps.sweep import Sweep
 
@@ -50,7 +50,7 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
     write_csv(directory / "trials.csv", rows)
     name, seeds = sweep.file.name, sweep.file.objective.seeds
     head = f"# {name}\n\n{len(rows) - 1} trials of {sweep.trials}; {sweep.file.search.method}; "
-    head += f"median over {seeds} seeds of the lap time, s. "
+    head += f"median over {counted(seeds, 'seed')} of the lap time, s. "
     head += f"Base: `{shlex.join([sweep.base.name, *sweep.overrides])}`."
     head += f"\n\n{line_of(provenance(load_config(sweep.base, sweep.overrides)))}"
     complete = study.get_trials(states=(State.COMPLETE,))
@@ -60,30 +60,17 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
         config = sweep.config_of(best.params, f"name={name}_best")
         title = f"# Trial {number_of(best)} of {name}: lap time {best.value:.3f} s\n"
         write_text(directory / "best.yaml", title + config.to_yaml())
-        draw([t for t in finished if t.user_attrs["finished"] >= 1.0] or finished, directory)
+        draw([t for t in finished if t.user_attrs["finished"] >= 1.0] or finished, sweep, directory)
         last = f"best config: {quadjax_command('train', directory / 'best.yaml')}"
     write_text(directory / "report.md", f"{head}\n\n{table(rows)}\n\n{last}\n")
     return f"{table(rows[: PRINTED + 1])}\n\n{last}\nall trials, report and figures: {directory}"
 
 
-def draw(trials: list[FrozenTrial], directory: Path) -> None:
-    """Optuna's figures of complete trials.
-
-    The importance of a key is the fraction of the variance that it explains, by PED-ANOVA
-    (Watanabe et al., 2023); there is no figure of it for fewer than three different values.
-    """
-    study = optuna.create_study(study_name=directory.name)
-    study.add_trials(trials)
-    plots = optuna.visualization.matplotlib
-    importance = {"evaluator": optuna.importance.PedAnovaImportanceEvaluator()}
-    median = {"target_name": "median (s)"}
-    for name, plot, options in (
-        ("parallel", plots.plot_parallel_coordinate, median),
-        ("slices", plots.plot_slice, median),
-        ("importances", plots.plot_param_importances, importance),
-    ):
-        with contextlib.suppress(RuntimeError, ValueError):
-            plot(study, target=lambda trial: trial.values[0], **options)
-            figure = plt.gcf()
-            figure.set_size_inches(max(8.0, 3.0 * len(trials[0].params)), 4.5)
-            save_figure(figure, directory / f"{name}.png")
+def draw(trials: list[FrozenTrial], sweep: Sweep, directory: Path) -> None:
+    """Write the figures of complete trials."""
+    best = min(trials, key=lambda trial: trial.values[0])
+    race = load_config(sweep.base, sweep.overrides)
+    title = f"{sweep.file.name}: {race.name}, {race.vehicle.name}, {race.track.name}; "
+    title += f"{counted(len(trials), 'trial')}, best {best.values[0]:.2f} s"
+    for name, figure in figures(trials, title).items():
+        save_figure(figure, directory / f"{name}.png")

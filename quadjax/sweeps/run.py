@@ -36,6 +36,7 @@ from quadjax.sweeps.sweep import Params, Sweep
 from quadjax.sweeps.workers import LocalWorkers, RayWorkers
 
 POLL_SECONDS = 0.2
+SILENT = 10.0  # s after which the running trials are printed
 REPORTS = 10  # to the pruner in each training
 FLIGHT_SEED = 1
 Enough = Callable[[float, float], bool]  # (fraction of the training, lap time): whether to stop
@@ -121,6 +122,14 @@ def objective(
     return statistics.median(values)
 
 
+def training(study: optuna.Study, sweep: Sweep) -> str:
+    """How far the running trials are, by their last reports."""
+    whole = REPORTS * sweep.file.objective.seeds
+    trials = study.get_trials(deepcopy=False, states=(State.RUNNING,))
+    parts = [f"trial {number_of(t)} {100.0 * (t.last_step or 0) / whole:.0f}%" for t in trials]
+    return f"training: {', '.join(parts)}" if parts else "starting the workers"
+
+
 def work(sweep: Sweep, directory: Path, measure: Measure, end: float, slot: int, name: str) -> None:
     """Run trials, one after another.
 
@@ -164,6 +173,7 @@ def run_sweep(
     if journal:
         retry_running(study)
     first = printed = len(trials_over(study))
+    spoken = started
     running: dict[int, tuple[str, Any]] = {}
     stopped: set[str] = set()  # workers, which a second signal would end without saving
     guard = contextlib.nullcontext() if journal else storage_errors(sweep, directory)
@@ -171,7 +181,11 @@ def run_sweep(
         while (over := len(trials_over(study))) < sweep.trials or running:
             elapsed, interrupted = time.monotonic() - started, stop.is_set()
             ends = interrupted or elapsed > seconds
+            if over == printed and time.monotonic() - spoken > SILENT and running:
+                spoken, now = time.monotonic(), training(study, sweep)
+                print(f"{sweep.file.name}: {now}", file=sys.stderr, flush=True)
             if over != printed:
+                spoken = time.monotonic()
                 printed, text = over, f"{sweep.file.name}: {progress(study, sweep)}"
                 rest = (sweep.trials - over) * elapsed / max(over - first, 1)
                 text += f", about {datetime.timedelta(seconds=round(rest))} left" if rest else ""

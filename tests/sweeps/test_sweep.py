@@ -1,9 +1,11 @@
 """Sweep files, their studies, a real trial, and the report."""
 
 import csv
+import itertools
 import math
 import signal
 import sys
+import warnings
 from threading import Event
 from types import SimpleNamespace
 
@@ -15,8 +17,16 @@ from PIL import Image
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.yaml_files import parse_yaml, to_yaml
+from quadjax.sweeps.figures import figures
 from quadjax.sweeps.report import write_report
-from quadjax.sweeps.run import TrialStopped, objective, run_sweep, train_and_fly, work
+from quadjax.sweeps.run import (
+    TrialStopped,
+    objective,
+    run_sweep,
+    train_and_fly,
+    training,
+    work,
+)
 from quadjax.sweeps.study import (
     FILE,
     State,
@@ -118,7 +128,7 @@ def test_the_command_refuses_in_one_line_without_a_password_and_leaves_nothing(
     assert run("sweep", sweep_file(tmp_path), "--report", "--output", runs) == 2
     assert "no trials of the sweep small; run it first" in capfd.readouterr().err
     assert run("sweep", sweep_file(tmp_path), "--check", "--output", runs) == 0
-    assert "4 trials of 1 seeds" in capfd.readouterr().out and not runs.exists()
+    assert "4 trials of 1 seed can run" in capfd.readouterr().out and not runs.exists()
 
 
 @pytest.mark.parametrize(
@@ -220,6 +230,15 @@ def test_a_line_without_an_end_is_dropped_by_a_sweep_and_left_by_a_report(tmp_pa
     study = open_study(sweep, directory)
     study.ask()
     assert len(study.trials) == 2
+
+
+def test_a_sweep_says_how_far_its_running_trials_are(tmp_path):
+    """Of two seeds with ten reports each."""
+    sweep, _, study = open_small(tmp_path, objective={"seeds": 2})
+    assert training(study, sweep) == "starting the workers"
+    first, _ = study.ask(sweep.space), study.ask(sweep.space)
+    first.report(12.0, 5)
+    assert training(study, sweep) == "training: trial 0 25%, trial 1 0%"
 
 
 def test_an_interrupted_trial_is_queued_again(tmp_path):
@@ -330,6 +349,45 @@ def test_the_report_has_a_table_figures_and_the_best_config(tmp_path):
     for name in ("parallel.png", "slices.png", "importances.png"):
         with Image.open(directory / name) as image:
             assert image.size[0] > 600 and len(set(image.convert("L").tobytes())) > 20
+
+
+SPACE = {
+    RATE: {"log": [1e-3, 1e-2]},
+    "learner.gae_lambda": {"range": [0.9, 0.995]},
+    "learner.max_grad_norm": {"log": [0.0135, 0.0142]},
+    EPOCHS: {"range": [2, 8], "step": 2},
+    HIDDEN: {"choices": [[48, 48], [64, 64, 64], [128, 128, 128, 128]]},
+    "learner.max_kl": {"choices": [None, 0.02]},
+}
+
+
+@pytest.mark.parametrize("count", [1, 4, 6])
+def test_the_figures_of_any_space_can_be_read(tmp_path, count):
+    """Names and numbers are whole and do not cover each other; the best trial is marked."""
+    space = dict(list(SPACE.items())[:count])
+    sweep, directory, study = open_small(tmp_path, space=space)
+    for _ in range(9):
+        ended(study, sweep, lambda params: 10.0 + params[RATE] * 100, finished=1.0)
+    trials = complete(study)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        drawn = figures(trials, "small: e2e_ppo, Parrot Bebop 1, square4")
+    assert set(drawn) == {"slices", "parallel", *(["importances"] if count > 1 else [])}
+    for figure in drawn.values():
+        figure.canvas.draw()
+        paper = figure.bbox
+        for axes in (axes for axes in figure.axes if axes.get_visible()):
+            box = axes.get_tightbbox()
+            assert paper.x0 <= box.x0 and box.x1 <= paper.x1 and paper.y0 <= box.y0
+            ticks = [x.get_window_extent() for x in axes.get_xticklabels()]
+            if not any(x.get_rotation() for x in axes.get_xticklabels()):
+                assert not any(a.overlaps(b) for a, b in itertools.combinations(ticks, 2))
+    names = [axes.get_xlabel() for axes in drawn["slices"].axes if axes.get_visible()]
+    assert names == list(space)
+    best = min(trials, key=lambda trial: trial.values[0])
+    marked = drawn["slices"].axes[0].collections[1].get_offsets()
+    assert marked[0][0] == pytest.approx(np.log10(best.params[RATE] / 1e-3))
+    assert marked[0][1] == best.values[0]
 
 
 @pytest.mark.parametrize("method", ["tpe", "random", "grid"])
