@@ -193,8 +193,9 @@ def check_drone(config: Config) -> None:
             allowed = f"at most {others:g}, the sum of the other moments of inertia"
             refuse(f"vehicle.constants.{name}", inertia[name], allowed)
     simulated = {name: value * factors.get(name, 1.0) for name, value in constants.items()}
-    _check_thrust(model, constants, "")
-    _check_thrust(model, simulated, " times vehicle.mismatch")
+    for values, origin in ((constants, ""), (simulated, " times vehicle.mismatch")):
+        _check_thrust(model, values, origin)
+        _check_allocation(model, values, origin)
     for name in (name for name in model.lags if simulated[name] <= 0.5 * step):
         key = f"vehicle.constants.{name}{' times its mismatch' if name in factors else ''}"
         unstable = f"half of rules.time_step {step} s (integration is unstable below)"
@@ -226,6 +227,13 @@ def _check_thrust(model: VehicleModel, values: Values, origin: str) -> None:
             f"vehicle.constants{origin} give a thrust of {lowest:.3g} to {highest:.3g} times the "
             f"weight, allowed: a range around 1, up to {MAX_THRUST:g}, so that the drone can hover",
         )
+
+
+def _check_allocation(model: VehicleModel, values: Values, origin: str) -> None:
+    """Check that the rotors set thrust, roll, pitch and yaw independently of each other."""
+    if reason := model.dependent_axes(model.make_constants(values)):
+        key = "vehicle.constants.turning1" if "turning1" in values else "vehicle.constants"
+        raise BadValue(key, f"vehicle.constants{origin}: {reason}")
 
 
 def _check_track(config: Config) -> None:

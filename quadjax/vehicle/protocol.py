@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Self
 
 import jax
+import numpy as np
 from flax import struct
 
 from quadjax.core import quaternion
@@ -27,6 +28,8 @@ State = RigidBodyState
 Command = Any  # a pytree of scalars, in the order of ``VehicleModel.commands``
 Actuators = Any  # a pytree of scalars: propeller speeds, thrust, ...
 Population = Callable[[Constants, jax.Array], Constants]
+DEPENDENT = 0.5  # singular value of rows of unit length; below it, they are not independent
+NONE = 1e-3  # fraction of the strongest rotor's effect that is none
 
 
 class Signal(NamedTuple):
@@ -157,6 +160,26 @@ class VehicleModel:
     def thrust_to_weight(self, c: Constants) -> jax.Array | None:
         """Thrust at the highest command over weight; None: unknown."""
         return None
+
+    def allocation(self, c: Constants) -> np.ndarray | None:
+        """Thrust, roll, pitch and yaw (4, n) of each of n rotors alone; None: not checked."""
+        return None
+
+    def dependent_axes(self, c: Constants) -> str:
+        """Why the rotors cannot set thrust, roll, pitch and yaw independently; "" if they can.
+
+        By the signs of the allocation: rotors of different strength do not make an axis
+        independent. The rank is that of rows of unit length, within ``DEPENDENT``.
+        """
+        rows = self.allocation(c)
+        if rows is None:
+            return ""
+        signs = np.sign(rows) * (np.abs(rows) > NONE * np.abs(rows).max(axis=1, keepdims=True))
+        length = np.maximum(np.linalg.norm(signs, axis=1, keepdims=True), 1.0)
+        rank = np.linalg.matrix_rank(signs / length, DEPENDENT)
+        allowed = "all 4, as of neighbors that turn in opposite directions (turning)"
+        axes = "the rotors set only %d of thrust, roll, pitch and yaw, allowed: %s"
+        return axes % (rank, allowed) if rank < 4 else ""
 
     def derivative(self, params: VehicleParams, state: State, command: Command) -> State:
         """The time derivative of a state under a command, as a state."""

@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from quadjax.core.gradients import bounded_sqrt
@@ -242,6 +243,13 @@ class Racing(VehicleModel):
     def hover_actuators(self, c: RacingConstants) -> Rotors:
         """Rotor speeds of a hover, rad/s; see ``hover_speed``."""
         return hover_speed(c)
+
+    def allocation(self, c: RacingConstants) -> np.ndarray:
+        """Thrust, roll, pitch and yaw (4, 4) of each rotor alone, at 1 rad/s."""
+        alone, zero = Rotors(*np.eye(4)), Vec3(*np.zeros(3))
+        spin = nominal_spin(c, alone, Rotors(*np.zeros(4)))
+        thrust = -nominal_force(c, alone, zero).z
+        return np.array([thrust, *spin.components()], np.float64)
 
     def thrust_to_weight(self, c: RacingConstants) -> jax.Array:
         """Thrust at the highest command over weight."""

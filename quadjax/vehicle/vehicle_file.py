@@ -53,7 +53,7 @@ class VehicleFile:
         """The constants of a model of ``quadjax.vehicle.registry``, as floats.
 
         Raises:
-            InputError: a constant that the file does not have.
+            InputError: a constant that the file does not have, or rotors that cannot fly.
         """
         if model not in self.models:
             raise InputError(f"{self.path}: {model} is missing, expected a mapping of constants")
@@ -62,7 +62,9 @@ class VehicleFile:
         numbers = {
             key: finite_number(self.path, values, key, f"{model}.") for key in constant_names(kind)
         }
-        return from_values(kind, numbers)
+        if reason := MODELS[model].dependent_axes(constants := from_values(kind, numbers)):
+            raise InputError(f"{self.path}: {model}: {reason}")
+        return constants
 
     @property
     def motor(self) -> MotorConstants:
@@ -149,7 +151,7 @@ def _with_rotors(values: Tree, order: list[str], where: str) -> Tree:
             continue
         if len(value) != len(ROTORS):
             raise InputError(f"{where}.{key} is {short(value)}, allowed: one value for each rotor")
-        if key == "turning" and not set(value) <= set(TURNING):
+        if key == "turning" and not all(isinstance(x, str) and x in TURNING for x in value):
             raise InputError(f"{where}.turning is {short(value)}, allowed: cw or ccw for each")
         for place, item in zip(order, value, strict=True):
             name = rotor_names(key)[ROTORS.index(place)]
