@@ -21,12 +21,14 @@ from quadjax.core.errors import InputError
 from quadjax.core.interruptions import interruptions
 from quadjax.sweeps.schema import JOURNAL
 from quadjax.sweeps.study import (
-    Retry,
+    BEYOND,
     State,
     drop_partial_line,
+    is_beyond,
     number_of,
     open_study,
     progress,
+    retry,
     retry_running,
     storage_errors,
     trials_left,
@@ -145,6 +147,9 @@ def work(sweep: Sweep, directory: Path, measure: Measure, end: float, slot: int,
     with interruptions(b"") as stop:
 
         def run_one(trial: optuna.Trial) -> float:
+            if is_beyond(study, trial.number, sweep.trials):
+                trial.set_user_attr(BEYOND, True)
+                raise TrialStopped
             trial.set_user_attr("worker", name)
             try:
                 return objective(trial, sweep, directory, measure, stop)
@@ -153,8 +158,8 @@ def work(sweep: Sweep, directory: Path, measure: Measure, end: float, slot: int,
                 raise TrialStopped from None
 
         def after(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
-            if trial.state == State.FAIL and "error" not in trial.user_attrs:
-                Retry()(study, trial)
+            if trial.state == State.FAIL and not {"error", BEYOND} & set(trial.user_attrs):
+                retry(study, trial)
 
         while not stop.is_set() and time.time() < end and trials_left(study, sweep):
             study.optimize(run_one, n_trials=1, catch=TrialStopped, callbacks=[after])

@@ -2,19 +2,25 @@
 
 The study is in a journal that one command uses, or in a database that several machines share. A
 trial that was interrupted, or whose worker died, fails, and Optuna's retry queues it again with its
-parameters. Its folder has the number of its first attempt.
+parameters. Its folder has the number of its first attempt. Storages number trials without gaps or
+repetition, so the first attempts that a budget permits are those with the lowest numbers, also
+where workers begin trials at the same time.
 """
 
 import contextlib
+import itertools
 import re
 import socket
+import time
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
+import numpy as np
 import optuna
-from optuna.samplers import GridSampler, RandomSampler, TPESampler
+from optuna.samplers import RandomSampler, TPESampler
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial
 from sqlalchemy.exc import SQLAlchemyError
@@ -25,6 +31,9 @@ from quadjax.sweeps.sweep import Sweep
 
 FILE = "study.journal"
 SLOTS = 4099  # workers, at most
+TRIES, WAIT = 8, 0.25  # to open a database that another process may be creating, and s between
+CREATED = re.compile("(?i)already exists|unique|duplicate|locked")  # by another process just now
+BEYOND = "beyond"  # user attribute of a trial that no budget permits, which another worker used up
 HEARTBEAT, GRACE = 15, 60  # s, in a database: a trial without one for GRACE counts as dead
 State = optuna.trial.TrialState
 OVER = (State.COMPLETE, State.PRUNED, State.FAIL)
@@ -70,7 +79,7 @@ def open_study(sweep: Sweep, directory: Path, slot: int | None = None) -> optuna
             else:
                 study.sampler = RandomSampler(seed)
             if search.method == "grid":
-                study.sampler = GridSampler(sweep.grid(), search.seed)
+                study.sampler = Grid(sweep)
         _check_definition(study, sweep)
         if "definition" not in study.user_attrs:
             study.set_user_attr("definition", sweep.definition())
@@ -111,15 +120,24 @@ def _check_definition(study: optuna.Study, sweep: Sweep) -> None:
 
 
 def _storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
+    """The storage; a database that another process creates at the same time is tried again."""
     if sweep.file.storage == JOURNAL:
         return optuna.storages.JournalStorage(JournalFileBackend(str(directory / FILE)))
-    return optuna.storages.RDBStorage(
-        sweep.file.storage,
-        engine_kwargs={"pool_pre_ping": True},
-        heartbeat_interval=HEARTBEAT,
-        grace_period=GRACE,
-        heartbeat_stale_trial_callback=Retry(sweep.file.executor.retries),
-    )
+    retries = sweep.file.executor.retries
+    for attempt in range(TRIES):
+        try:
+            return optuna.storages.RDBStorage(
+                sweep.file.storage,
+                engine_kwargs={"pool_pre_ping": True},
+                heartbeat_interval=HEARTBEAT,
+                grace_period=GRACE,
+                heartbeat_stale_trial_callback=lambda study, trial: retry(study, trial, retries),
+            )
+        except (SQLAlchemyError, optuna.exceptions.StorageInternalError) as error:
+            if attempt == TRIES - 1 or not CREATED.search(f"{error} {error.__cause__}"):
+                raise
+            time.sleep(WAIT)
+    raise AssertionError
 
 
 def drop_partial_line(directory: Path) -> None:
@@ -182,12 +200,74 @@ def retry_running(
 ) -> None:
     """Fail the running trials of a worker, or of all, and queue them again.
 
-    Trials that were queued again ``max_retries`` times are not queued again.
+    The arguments are those of ``retry``.
     """
     for trial in study.get_trials(states=(State.RUNNING,)):
         if worker in (None, trial.user_attrs.get("worker")):
             study.tell(trial.number, state=State.FAIL)
-            Retry(max_retries)(study, trial)
+            retry(study, trial, max_retries)
+
+
+def retry(study: optuna.Study, trial: FrozenTrial, max_retries: int | None = None) -> None:
+    """Queue a failed trial again.
+
+    Args:
+        study: of the trial.
+        trial: which has failed.
+        max_retries: of trials whose worker died, as this one did; None: it was interrupted, which
+            does not count.
+    """
+    if max_retries is not None:
+        study.set_user_attr(f"died {trial.number}", True)
+    attempts = [*Retry.retry_history(trial), trial.number]
+    deaths = sum(f"died {number}" in study.user_attrs for number in attempts)
+    if max_retries is None or deaths <= max_retries:
+        Retry()(study, trial)
+
+
+def is_beyond(study: optuna.Study, number: int, budget: int) -> bool:
+    """Whether a trial has just begun that others make superfluous.
+
+    As many first attempts as the ``budget`` has began before, or another machine queued the same
+    failed trial again.
+    """
+    history = Retry.retry_history(study.trials[number])
+    if not history:
+        return _first_attempts(study).index(number) >= budget
+    return any(
+        trial.number < number and Retry.retry_history(trial) == history
+        for trial in study.get_trials(deepcopy=False)
+        if BEYOND not in trial.user_attrs
+    )
+
+
+def _first_attempts(study: optuna.Study) -> list[int]:
+    """The numbers of the trials of the budget, without their repetitions."""
+    trials = study.get_trials(deepcopy=False)
+    used = [trial for trial in trials if BEYOND not in trial.user_attrs]
+    return [trial.number for trial in used if Retry.retried_trial_number(trial) is None]
+
+
+class Grid(RandomSampler):
+    """Every point of a sweep's grid once, in random order: each trial has that of its rank."""
+
+    def __init__(self, sweep: Sweep) -> None:
+        """The points of the grid, in the same order for every worker."""
+        super().__init__(sweep.file.search.seed)
+        points, self._names = list(itertools.product(*sweep.grid().values())), list(sweep.grid())
+        order = np.random.default_rng(sweep.file.search.seed).permutation(len(points))
+        self._points = [points[index] for index in order]
+
+    def sample_independent(
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        param_name: str,
+        param_distribution: optuna.distributions.BaseDistribution,
+    ) -> Any:
+        """The value of a parameter at the trial's point."""
+        rank = _first_attempts(study).index(number_of(trial))
+        return self._points[rank][self._names.index(param_name)]
 
 
 def number_of(trial: FrozenTrial) -> int:
@@ -200,6 +280,7 @@ def trials_over(study: optuna.Study) -> list[FrozenTrial]:
     """Complete and pruned trials, and those that failed and are not queued again."""
     trials = study.get_trials(deepcopy=False)
     again = {number for trial in trials for number in Retry.retry_history(trial)}
+    again |= {trial.number for trial in trials if BEYOND in trial.user_attrs}
     return [t for t in trials if t.state in OVER and t.number not in again]
 
 

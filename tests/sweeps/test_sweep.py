@@ -5,6 +5,7 @@ import itertools
 import math
 import signal
 import sys
+import threading
 import warnings
 from threading import Event
 from types import SimpleNamespace
@@ -29,12 +30,16 @@ from quadjax.sweeps.run import (
 )
 from quadjax.sweeps.study import (
     FILE,
+    Grid,
     State,
     delete_study,
     drop_partial_line,
+    is_beyond,
     load_study,
     number_of,
     open_study,
+    retry,
+    retry_running,
     trials_left,
     trials_over,
     without_secrets,
@@ -253,6 +258,76 @@ def test_an_interrupted_trial_is_queued_again(tmp_path):
     assert trials_over(study) == [] and number_of(second) == first.number
 
 
+def test_only_deaths_of_a_worker_use_up_the_retries_of_a_trial(tmp_path):
+    _, _, study = open_small(tmp_path)
+    for retries, queued in ((None, 1), (None, 1), (1, 1), (None, 1), (1, 0)):
+        study.ask()
+        retry_running(study, retries)
+        assert len(study.get_trials(states=(State.WAITING,))) == queued
+    assert [trial.number for trial in trials_over(study)] == [4]
+
+
+def test_a_trial_that_another_worker_made_superfluous_is_not_run(tmp_path, monkeypatch):
+    """Another one begins the last trial between the look at the budget and the own beginning."""
+    looks = iter([1])
+    monkeypatch.setattr(
+        "quadjax.sweeps.run.trials_left", lambda *x: next(looks, None) or trials_left(*x)
+    )
+    sweep, directory, study = open_small(tmp_path, "budget.trials=1")
+    other = study.ask()
+    work(sweep, directory, None, math.inf, 0, "worker")
+    assert len(study.trials) == 2 and trials_over(study) == []
+    sweep.suggest(other)
+    study.tell(other, 9.0)
+    larger, _, _ = open_small(tmp_path, "budget.trials=2")
+    assert trials_left(study, larger) == 1
+    work(larger, directory, lambda *_: (8.0, 1.0), math.inf, 0, "worker")
+    assert [trial.value for trial in complete(study)] == [9.0, 8.0]
+    assert trials_left(study, larger) == 0
+
+
+def test_a_trial_that_two_machines_queue_again_is_run_once(tmp_path):
+    sweep, directory, study = open_small(tmp_path, "budget.trials=1")
+    study.tell(study.ask(), state=State.FAIL)
+    for _ in range(2):
+        retry(study, study.trials[0], 1)
+    work(sweep, directory, lambda *_: (8.0, 1.0), math.inf, 0, "worker")
+    assert [trial.number for trial in trials_over(study)] == [1]
+    study.ask()
+    assert is_beyond(study, 2, 1)
+
+
+def test_a_grid_has_each_point_once_also_where_trials_begin_together(tmp_path):
+    space = {CLIP: {"choices": [0.1, 0.2, 0.3]}, EPOCHS: {"range": [1, 2]}}
+    grid = {"search": {"method": "grid"}, "budget": {}, "space": space}
+    sweep, directory, _ = open_small(tmp_path, **grid)
+    studies = [open_study(sweep, directory, slot) for slot in range(2)]
+    begun = [study.ask() for _ in range(3) for study in studies]
+    again = begun.pop(1)  # its worker dies before it draws the point
+    studies[0].tell(again, state=State.FAIL)
+    retry(studies[0], studies[0].trials[1])
+    begun.append(studies[1].ask())
+    points = {tuple(sweep.suggest(trial).values()) for trial in reversed(begun)}
+    assert len(points) == 6 == sweep.trials
+
+
+def test_processes_that_open_one_new_database_at_the_same_time_all_open_it(tmp_path):
+    storage, opened = f"sqlite:///{tmp_path}/study.db", []
+    together = threading.Barrier(3)
+    sweeps = [load_sweep(sweep_file(tmp_path / f"{k}", storage=storage)) for k in range(3)]
+
+    def begin(sweep):
+        together.wait()
+        opened.append(open_study(sweep, tmp_path).study_name)
+
+    threads = [threading.Thread(target=begin, args=(sweep,)) for sweep in sweeps]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert opened == ["small"] * 3
+
+
 def test_an_interrupted_sweep_stops_each_worker_once(tmp_path):
     sweep, directory, _ = open_small(tmp_path)
     stops, polls = [], iter([None, None, None, ""])
@@ -400,8 +475,9 @@ def test_the_samplers_of_optuna(tmp_path, method):
     for slot in (0, 1, 0):
         study = open_study(sweep, directory, slot)
         study.optimize(lambda trial: sum(sweep.suggest(trial).values()), n_trials=2)
-    kind = {"tpe": "TPESampler", "random": "RandomSampler", "grid": "GridSampler"}[method]
-    assert isinstance(study.sampler, getattr(optuna.samplers, kind))
+    samplers = optuna.samplers
+    kinds = {"tpe": samplers.TPESampler, "random": samplers.RandomSampler, "grid": Grid}
+    assert isinstance(study.sampler, kinds[method])
     points = [tuple(trial.params.values()) for trial in study.trials]
     assert len(points) == 6 == len(set(points)) and trials_left(study, sweep) == 0
     assert method == "grid" or points[0] == (0.2, 1)
