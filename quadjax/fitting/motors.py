@@ -51,6 +51,7 @@ MAP = ("tau", "w_min", "w_max", "k")
 LEAST_GAIN = 0.02  # relative decrease of the error, below which there is no limit
 LEAST_USED = 20.0  # s of hover in the longest flight, below which the drain is not fitted
 LEAST_EXPLAINED = 0.2  # R^2 of a lag of the inner loop that is used
+START = "highest rpm at the start of "  # before the name of a flight
 EXPLAINED = 0.9  # R^2 of the motor map below which there is a warning
 LEAST_RATE = 60.0  # Hz, of the samples compared without measured speeds
 
@@ -111,11 +112,11 @@ def fit_battery(
     if not limit.rmse < (1.0 - LEAST_GAIN) * lag.rmse:
         return lag, BatteryFit(first.base, 0.0, 0.0, rmse=lag.rmse, converged=lag.converged)
     values = limit.constants
-    at_start = {name: values[name] for name in parts}
+    at_start = {name: values[START + name] for name in parts}
     drain = values["drain"]
     at_end = {name: float(at_start[name] - drain * part.used[-1]) for name, part in parts.items()}
     fitted = values["tau"], values["sag"], drain, at_start, at_end, limit.rmse, limit.converged
-    of_drone = {name: value for name, value in values.items() if name not in parts}
+    of_drone = {name: value for name, value in values.items() if not name.startswith(START)}
     return replace(limit, constants=of_drone), BatteryFit(*fitted)
 
 
@@ -129,8 +130,13 @@ def _fit_limit(
     has_drain = max(part.used[-1] for part in flights) >= LEAST_USED
     physical: dict[str, Any] = {"low": 0.0, "positive": True, "small": True, "physical": True}
     starts = [
-        Parameter(name, np.percentile(p.measured, 99.0) + 100.0 * np.median(p.load), 0.0, size=1e3)
-        for name, p in parts.items()
+        Parameter(
+            f"{START}{name}",
+            np.percentile(part.measured, 99.0) + 100.0 * np.median(part.load),
+            0.0,
+            size=1e3,
+        )
+        for name, part in parts.items()
     ]
     limited = problem_of(
         flights,

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from quadjax.core.errors import InputError
+from quadjax.fitting.solvers import Minimum, linear, noise_hides, nonlinear
 
 BLOCK = 0.5  # s
 SIGNIFICANT = 2.0  # standard errors above zero
@@ -27,7 +27,6 @@ EXCLUDED = 3.0  # standard errors between an estimate and a base value that the 
 NEGATED = 3.0  # standard errors below zero, from which on a column of the log must be wrong
 CONDITION = 1e6  # condition number (of columns of unit size) above which they are collinear
 LITTLE_EXPLAINED = 0.1  # R^2 below which there is a warning
-LARGEST_CORRECTION = 0.1  # of the signal, by the noise in a regressor
 UNCERTAIN = 0.05  # relative standard error above which a parameter has a warning
 AT_LIMIT = 0.01  # relative distance to a limit of the search
 MAX_STEPS = 40  # of the solver
@@ -123,6 +122,16 @@ def solve(problem: Problem) -> Estimate:
         size = np.sqrt((jacobian**2).mean(axis=0))
         condition = float(np.linalg.cond(jacobian / np.maximum(size, 1e-300)))
     warnings = _warnings(problem, reasons, values, errors, explained)
+    columns, noise = problem.columns, problem.noise
+    if columns is not None and noise is not None and free.any():
+        hides = noise_hides(columns[:, free], noise[:, free])
+    else:
+        hides = False
+    if hides:
+        warnings.append(
+            f"{problem.group}: what tells its constants apart is little but noise of the signals, "
+            "which is not compensated: they may be too small"
+        )
     if not converged:
         steps = f"the solver stopped after {MAX_STEPS} steps, before it converged"
         warnings.append(f"{problem.group}: {steps}")
@@ -197,8 +206,7 @@ def _solution(
     values, errors = base.copy(), np.full(len(base), np.inf)
     if not free.any():
         return values, errors, None, True
-    solver = _linear if problem.model is None else _nonlinear
-    scaled, unit, jacobian, bread, converged = solver(problem, base, free)
+    scaled, unit, jacobian, bread, converged = _minimum(problem, base, free)
     values[free] = scaled * unit
     error = (problem.measured - problem.modeled(values)).ravel()
     blocks = np.repeat(problem.blocks, len(error) // len(problem.blocks))
@@ -212,46 +220,19 @@ def _solution(
     return values, errors, jacobian, converged
 
 
-# Values of the free parameters and their units (f,), the Jacobian (n m, f) of what is modeled, the
-# inverse (f, f) of the normal equations, both in these units, and whether the solver converged.
-_Minimum = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]
+def _minimum(problem: Problem, base: np.ndarray, free: np.ndarray) -> Minimum:
+    if problem.model is None:
+        assert problem.columns is not None and problem.noise is not None
+        remainder = problem.measured - problem.columns[:, ~free] @ base[~free]
+        return linear(problem.columns[:, free], problem.noise[:, free], remainder)
+    low, high, unit = np.array([(p.low, p.high, p.size) for p in problem.parameters]).T[:, free]
 
-
-def _linear(problem: Problem, base: np.ndarray, free: np.ndarray) -> _Minimum:
-    """The solution of the normal equations."""
-    assert problem.columns is not None and problem.noise is not None
-    size = np.sqrt((problem.columns[:, free] ** 2).mean(axis=0))
-    columns, noise = problem.columns[:, free] / size, problem.noise[:, free] / size
-    remainder = problem.measured - problem.columns[:, ~free] @ base[~free]
-    gram, extra = columns.T @ columns, noise.T @ noise
-    largest = float((np.diag(extra) / np.diag(gram)).max())
-    extra *= min(1.0, LARGEST_CORRECTION / max(largest, 1e-12))
-    bread = np.linalg.inv(gram - extra)
-    return bread @ (columns.T @ remainder), 1.0 / size, columns, bread, True
-
-
-def _nonlinear(problem: Problem, base: np.ndarray, free: np.ndarray) -> _Minimum:
-    """The solution of ``scipy.optimize.least_squares``."""
-    table = np.array([(p.low, p.high, p.size) for p in problem.parameters]).T
-    low, high, unit = table[:, free]
-    low, high = low / unit, high / unit
-
-    def error(scaled: np.ndarray) -> np.ndarray:
+    def error(some: np.ndarray) -> np.ndarray:
         values = base.copy()
-        values[free] = scaled * unit
+        values[free] = some
         return (problem.modeled(values) - problem.measured).ravel()
 
-    result = least_squares(
-        error,
-        np.clip(base[free] / unit, low + 1e-6, high - 1e-6),
-        bounds=(low, high),
-        diff_step=1e-4,
-        xtol=1e-9,
-        ftol=1e-10,
-        max_nfev=MAX_STEPS,
-    )
-    bread = np.linalg.pinv(result.jac.T @ result.jac)
-    return result.x, unit, result.jac, bread, bool(result.success)
+    return nonlinear(error, base[free], (low, high), unit, MAX_STEPS)
 
 
 def _without_evidence(problem: Problem, values: np.ndarray, errors: np.ndarray) -> dict[int, str]:

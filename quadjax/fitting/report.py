@@ -15,7 +15,7 @@ from quadjax.core.plotting import INK, SERIES, head, new_figure, save_figure, ti
 from quadjax.core.provenance import provenance
 from quadjax.core.yaml_files import to_yaml
 from quadjax.fitting.axes import Prediction, pooled
-from quadjax.fitting.fit import Fit
+from quadjax.fitting.fit import Fit, FittedModel
 from quadjax.fitting.nominal import AXES, EQUATIONS
 from quadjax.fitting.regression import Estimate, r_squared
 from quadjax.fitting.residual import Choice
@@ -95,16 +95,16 @@ def as_json(result: Fit) -> dict[str, object]:
         "held_out": {part.name: _prediction_json(result, part) for part in result.held_out},
         "held_out_pooled": _prediction_json(result, pooled(result.held_out)),
         "not_checked": {log.name: log.source["unchecked"] for log in result.logs},
-        "choices": {
-            name: {
-                axis: vars(choice) | {"gain": choice.gain}
-                for axis, choice in model.residual.choices.items()
-            }
-            for name, model in {"final": result.fitted, **result.without}.items()
-            if model.residual
-        },
+        "choices": _choices_json(result.fitted),
+        "choices_without": {name: _choices_json(model) for name, model in result.without.items()},
     }
     return json.loads(json.dumps(report), parse_constant=lambda _: None)
+
+
+def _choices_json(model: FittedModel) -> dict[str, object]:
+    """The choices of a residual's outputs, none without a residual."""
+    choices = model.residual.choices if model.residual else {}
+    return {axis: vars(choice) | {"gain": choice.gain} for axis, choice in choices.items()}
 
 
 def text_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -58,6 +58,18 @@ def test_lag_and_limit_are_found():
     assert found.rmse == pytest.approx(20.0, rel=0.1)
 
 
+@pytest.mark.parametrize("name", ["tau", "drain"])
+def test_a_flight_may_have_the_name_of_a_constant(name):
+    """Its highest speed at the start is not that constant."""
+    logs = [flight(0.9, 1), flight(0.7, 2)]
+    expected, found = (
+        fit_battery([first, logs[1]], HOVER, BATTERY)
+        for first in (logs[0], logs[0].replace(name=name))
+    )
+    assert (found.tau, found.sag, found.drain) == (expected.tau, expected.sag, expected.drain)
+    assert found.first == {name: expected.first["flight_1"], "flight_2": expected.first["flight_2"]}
+
+
 def test_a_solver_that_stops_before_it_converges_is_reported(monkeypatch):
     monkeypatch.setattr(regression, "MAX_STEPS", 2)
     found = fit_battery([flight(0.9, 1), flight(0.7, 2)], HOVER, BATTERY)

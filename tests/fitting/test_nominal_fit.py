@@ -171,6 +171,27 @@ def test_constants_of_an_impossible_sign_are_refused(bebop, flights):
     assert kept.constants["k_rr"] == bebop.k_rr and "impossible below 0" in kept.warnings[0]
 
 
+def test_noise_that_hides_what_tells_constants_apart_is_not_compensated():
+    """Two columns that differ by 1%, with noise of 1%, estimated as twice as much."""
+    draw, count = np.random.default_rng(0), 4000
+    common, difference = draw.normal(size=(2, count, 1))
+    true = np.concatenate([common, common + 0.01 * difference], axis=1)
+    noise = 0.01 * draw.normal(size=true.shape)
+    fit = solve(
+        Problem(
+            group="Mx",
+            parameters=[Parameter("a", 1.0), Parameter("b", 1.0)],
+            measured=true.sum(axis=1) + 0.01 * draw.normal(size=count),
+            blocks=np.arange(count) // 40,
+            columns=true + noise,
+            noise=0.02 * draw.normal(size=true.shape),
+        )
+    )
+    assert sum(fit.constants.values()) == pytest.approx(2.0, rel=1e-3)
+    assert all(0.8 < value < 1.2 for value in fit.constants.values())
+    assert any("little but noise" in line for line in fit.warnings)
+
+
 @pytest.mark.parametrize("swapped", [(), (0, 3), (0, 2)])
 def test_rotors_that_a_flight_does_not_separate_have_common_constants(swapped):
     """Front rotors and rear rotors move together, and My has a small part of the yaw moment.
