@@ -134,7 +134,7 @@ def fit(config: FitConfig, folder: Path = Path(), report: Report = lambda line: 
             *_warnings(config, logs, estimates),
             *kept.values(),
             *_unexplained(training, nominal.fitted_axes(split.all)),
-            *_scale(config, logs, estimates, base),
+            *_scale(config, logs, estimates, vehicle),
         ],
     )
 

@@ -422,6 +422,15 @@ def _fit(pieces, form, names, **changes):
     return fit(FitConfig(vehicle=vehicle, logs=logs, **changes))
 
 
+def test_a_scale_of_the_speeds_that_nothing_checks_is_named(pieces):
+    """Speeds that are 1.5 times too high give 0.44 times the thrust per squared speed."""
+    logs = {"files": [str(pieces / "a_blackbox.csv")], "format": "blackbox", "min_seconds": 1.0}
+    logs["units"] = {"rpm": 1.5 * 30.0 / np.pi}
+    result = fit(FitConfig(vehicle="5inch.yaml", logs=logs))
+    (line,) = (line for line in result.warnings if "logs.units.rpm" in line)
+    assert line.startswith("k_w is 0.44") and "5-inch" in line and "body.rpm_range" in line
+
+
 @pytest.mark.parametrize("form", [pytest.param("tii", marks=pytest.mark.slow), "blackbox"])
 def test_a_held_out_flight_has_no_influence_on_its_prediction(form, pieces):
     """Motors, rotor speeds and regressors are those of the fit to the other flights alone."""
