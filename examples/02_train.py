@@ -11,7 +11,7 @@ SCHEDULES = [  # any number of the learner, the reward or the race can have one
 
 def main():
     config = quadjax.load("e2e", ["name=scheduled", *SCHEDULES])
-    run = quadjax.train(config)
+    run = quadjax.train(config, overwrite=True)
     print("noise at first and at the end:", run.metrics["std"][[0, -1]])
     laps = quadjax.evaluate(run.policy, config, runs=100)
     print(laps.table())

@@ -21,7 +21,7 @@ def main():
         config = quadjax.load("e2e", ["+gate_edge", DRONE, *track, f"name={name}"])
         for gate in config.track.gates:
             print(gate.position, gate.yaw_deg)
-        run = quadjax.train(config)
+        run = quadjax.train(config, overwrite=True)
         print(quadjax.evaluate(run.policy, config, runs=100, start="random").table())
 
 

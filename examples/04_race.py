@@ -32,7 +32,7 @@ CHANGES = [  # modules are imported from the current folder, or from that of the
 
 def main():
     config = quadjax.load("e2e", ["name=changed_race", *CHANGES])
-    run = quadjax.train(config)
+    run = quadjax.train(config, overwrite=True)
     print(quadjax.evaluate(run.policy, config).table())
     print("observed:", ", ".join(quadjax.Policy.load(run.folder / "policy.npz").layout.names))
     for name, race in (("changed", config), ("published", quadjax.load("e2e"))):

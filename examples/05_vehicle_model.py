@@ -32,7 +32,7 @@ def main():
     drone = Path(__file__).with_suffix(".yaml")
     model = ["vehicle.model=05_vehicle_model:MODEL", f"vehicle={drone}"]
     config = quadjax.load("indi", [*model, "name=quadratic_drag"])
-    run = quadjax.train(config)
+    run = quadjax.train(config, overwrite=True)
     print(run.policy.vehicle, config.vehicle.constants)
     print(quadjax.evaluate(run.policy, config).table())
 

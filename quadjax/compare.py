@@ -118,7 +118,8 @@ def compare(
             label: [f.replace(name=str(run)) for run, f in enumerate(result.flights[:RECORDED], 1)]
             for label, result in flown.items()
         }
-        drawn = Report(groups, entered["E2E"].race)
+        few = f"the first {RECORDED} of {protocol['runs']} flights of each"
+        drawn = Report(groups, entered["E2E"].race, few if protocol["runs"] > RECORDED else "")
         drawn.write(folder / "report")
         result["rms error to the first-order response"] = {
             label: [

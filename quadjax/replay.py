@@ -80,16 +80,17 @@ def replay(
 
     model, params, commands = make_choices(drone).model, make_params(drone).vehicle, None
     flight, gates = flight_of(model, params), track.gates
-    figures = {"trajectory": trajectory_figure([flight], gates, flight.name)}
+    where = f"{flight.name}: {drone.vehicle.name}, {track.name}"
+    figures = {"trajectory": trajectory_figure([flight], gates, where)}
     if race is not None and policy is not None:
         report("commands of the policy")
         seen = flight_of(race.choices.model, race.params.vehicle)
         commands, response = _commands(seen, race, policy)
-        title = "commands in the logged states"
+        title = f"{flight.name}: commands in the logged states"
         figures["commands"] = error_figure(seen, response, len(gates), title)
     report("predictions of the model")
     prediction, errors = predict(flight, model, params, drive)
-    figures["prediction"] = _prediction_figure(prediction, errors)
+    figures["prediction"] = _prediction_figure(prediction, errors, where)
     numbers = {
         "log": log.source["path"],
         "track": track.name,
@@ -256,7 +257,7 @@ def _prediction_table(numbers: dict[str, Any]) -> Table:
     return Table(titles, rows, notes=notes)
 
 
-def _prediction_figure(numbers: dict[str, Any], errors: dict[str, Arrays]) -> Figure:
+def _prediction_figure(numbers: dict[str, Any], errors: dict[str, Arrays], where: str) -> Figure:
     """Root mean square errors against the horizon, with the range of 10 to 90% of the windows."""
     figure, horizons = new_figure(10, 6), numbers["horizons"]
     panels = figure.subplots(2, 2, sharex=True).ravel()
@@ -269,7 +270,7 @@ def _prediction_figure(numbers: dict[str, Any], errors: dict[str, Arrays]) -> Fi
             axes.fill_between(horizons, low, high, color=color, alpha=0.15, lw=0)
         axes.set(xscale="log", yscale="log")
         axes.set_ylabel(f"error of {name} ({unit})", color=INK)
-    head(panels[0], f"prediction, driven by the logged {numbers['drive']}")
+    head(panels[0], f"{where}\nprediction, driven by the logged {numbers['drive']}")
     for axes in panels[2:]:
         axes.set_xlabel("horizon (s)", color=INK)
     return figure

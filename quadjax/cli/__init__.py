@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from quadjax.core.errors import INTERRUPTED, InputError, close_match, run_command
-from quadjax.core.interruptions import loading
+from quadjax.core.interruptions import loading, repeat_lost
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -49,6 +49,7 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
         command: the subcommand; the first argument if not given.
         arguments: the arguments after it; those of ``sys.argv`` if not given.
     """
+    repeat_lost()
     argv = list(sys.argv[1:] if arguments is None else arguments)
     prepare_process()
     status = run(argv if command is None else [command, *argv])

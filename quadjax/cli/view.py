@@ -1,6 +1,8 @@
 """``quadjax view``."""
 
 import webbrowser
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,7 +52,7 @@ def view(
         flights: One or more, as above.
         output: Page, or its data (.json), or the flights (.npz).
         name: Name of the first of FLIGHTS; repeat it for the next ones.
-        title: Title of the page (default: the track's name).
+        title: Title of the page (default: the flights, the drone and the track).
         race: Race of the policies, and gates that the logs pass.
         laps: Laps of policies (default: evaluate.laps).
         runs: Runs of each policy.
@@ -71,29 +73,38 @@ def view(
     columns = logs.columns() if logs.logs else None
     how: dict[str, Any] = {"runs": runs, "laps": laps, "deterministic": not sampled, "seed": seed}
     how |= {"race": config, "logs": columns}
-    title = title or (config.track.name if config else "") or "Flights"
     with steps() as report:
         labels = [*names, *[None] * (len(flights) - len(names))]
-        read = [
-            flight
+        groups = [
+            load_flights(source, label, progress=report, **how)
             for source, label in zip(flights, labels, strict=True)
-            for flight in load_flights(source, label, progress=report, **how)
         ]
-        count = _write(output, title, read)
+        read = _told_apart(flights, groups)
+        count = _write(output, title, config.track.name if config else "", read)
     size = output.stat().st_size
     wrote(f"{output}: {count} flight{'' if count == 1 else 's'}, {size / 2**20:.1f} MiB")
     if open_:
         webbrowser.open(output.resolve().as_uri())
 
 
-def _write(output: Path, title: str, flights: "list[Flight]") -> int:
+def _told_apart(sources: Sequence[str], groups: "list[list[Flight]]") -> "list[Flight]":
+    """All flights; a name that flights of several sources have is followed by the source."""
+    uses = Counter(name for flights in groups for name in {f.name for f in flights if len(f.time)})
+    return [
+        f.replace(name=f"{f.name} ({source})") if uses[f.name] > 1 and len(f.time) else f
+        for source, flights in zip(sources, groups, strict=True)
+        for f in flights
+    ]
+
+
+def _write(output: Path, title: str | None, track: str, flights: "list[Flight]") -> int:
     """Write the page, its data or the flights, by the suffix; returns the number of flights."""
     with loading():
         from quadjax.flights import save
-        from quadjax.view.data import page_record
+        from quadjax.view.data import page_record, title_of
         from quadjax.view.page import write_page
 
-    record = page_record(title, flights)
+    record = page_record(title or title_of(flights, track), flights)
     if output.suffix == ".npz":
         save(flights, output)
     elif output.suffix == ".json":

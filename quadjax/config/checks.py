@@ -292,8 +292,9 @@ def _check_gate(config: Config, index: int) -> None:
         refuse("rules.body_radius", radius, f"below {half - narrower:g}, half {of_gate}{taken}")
     if narrower >= half:
         refuse("training_limits.gate_inflation", inflation, f"above {-half:g}, half {of_gate}")
-    if 2.0 * half <= config.vehicle.width:
-        refuse("vehicle.width", config.vehicle.width, f"below {2.0 * half:g}, a side {of_gate}")
+    if 2.0 * half <= (width := config.vehicle.width):
+        drone = f"vehicle.width of {config.vehicle.name}"
+        refuse(f"{key}.size", gate.size, f"sides above {width:g} m, {drone}")
     if gate.shape == "circle" and gate.size[0] != gate.size[1]:
         refuse(f"{key}.size", gate.size, "[diameter, diameter] of a circle")
     upright = gate.shape == "rectangle" and gate.pitch_deg == gate.roll_deg == 0

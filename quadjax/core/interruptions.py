@@ -1,7 +1,9 @@
 """Ctrl-C and termination requests: as an event for a training loop, and during imports."""
 
+import _thread
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,6 +15,7 @@ STOPPING = (
     b"\nstopping: saves after the next evaluation, nothing if compiling takes 5 s more; "
     b"Ctrl-C again ends without saving\n"
 )
+AGAIN = 0.05  # s after which a lost interruption is repeated
 Handler = Callable[[int, FrameType | None], object] | int | None
 
 
@@ -53,6 +56,21 @@ def interruptions(message: bytes = STOPPING) -> Iterator[threading.Event]:
     with _handled(ask) as handlers:
         before |= handlers
         yield stop
+
+
+def repeat_lost() -> None:
+    """Repeat a ``KeyboardInterrupt`` from where Python ignores it, as in a callback of JAX."""
+    before = sys.unraisablehook
+
+    def hook(lost: "sys.UnraisableHookArgs") -> None:
+        if not issubclass(lost.exc_type, KeyboardInterrupt):
+            before(lost)
+            return
+        again = threading.Timer(AGAIN, _thread.interrupt_main)
+        again.daemon = True
+        again.start()
+
+    sys.unraisablehook = hook
 
 
 @contextmanager

@@ -77,6 +77,11 @@ def head(axes: Axes, title: str = "", columns: int = 4) -> None:
     axes.set_title(title, color=INK, fontsize=13, loc="left", pad=8 + 17 * rows)
 
 
+def headline(figure: Figure, title: str) -> None:
+    """Set the title of a figure of several axes."""
+    figure.suptitle(title, color=INK, fontsize=13, x=0.02, ha="left")
+
+
 def tidy(axes: Axes) -> None:
     """Apply the style of all figures to the axes."""
     axes.spines[["top", "right"]].set_visible(False)

@@ -124,8 +124,8 @@ def evaluate(
             row = dataclasses.replace(row, condition=f"{how}, {counted(row.runs, 'run')}")
         rows.append(row)
     origin = provenance(config, name, protocol.seed)
-    several = conditions is not None
-    return Evaluation(tuple(rows), protocol, origin, several, tuple(left_out))
+    several, where = conditions is not None, f"{config.vehicle.name}, {config.track.name}"
+    return Evaluation(tuple(rows), protocol, origin, several, tuple(left_out), where)
 
 
 def _label(name: str) -> str:
@@ -148,6 +148,7 @@ class Evaluation:
         provenance: versions, config, policy, seed, date and device.
         by_condition: whether a list of conditions was flown.
         left_out: labels of conditions that the plant does not have.
+        race: names of the drone and of the track, for titles.
     """
 
     rows: tuple[Row, ...]
@@ -155,6 +156,7 @@ class Evaluation:
     provenance: dict[str, Any]
     by_condition: bool = False
     left_out: tuple[str, ...] = ()
+    race: str = ""
 
     def __repr__(self) -> str:
         """One line, of each row: policy, condition, how many runs finished."""
@@ -197,7 +199,13 @@ class Evaluation:
     @functools.cached_property
     def flights(self) -> list[Flight]:
         """Every run as a flight; of flights on the plant the first of each plant."""
-        return self.row.record()
+        facts = {"race": self.race} if self.race else {}
+        return [flight.replace(source=flight.source | facts) for flight in self.row.record()]
+
+    @property
+    def title(self) -> str:
+        """The policy, the drone and the track of the first row."""
+        return ": ".join(filter(None, (self.row.policy, self.race)))
 
     @property
     def best(self) -> Flight:
@@ -257,7 +265,7 @@ class Evaluation:
 
     def figures(self) -> dict[str, Figure]:
         """Figures of the best run by name: ``trajectory``, ``perspective`` and ``signals``."""
-        best, title = self.best, flight_title(self.best)
+        best, title = self.best, f"{self.title}\n{flight_title(self.best)}"
         return {
             "trajectory": figures.trajectory_figure([best], best.gates, title),
             "perspective": figures.space_figure([best], best.gates, title),
@@ -273,7 +281,8 @@ class Evaluation:
         from quadjax.view.data import page_record
         from quadjax.view.page import show
 
-        show(page_record(self.row.condition, self.named_flights("run")), path)
+        title = f"{self.title}; {self.row.condition}"
+        show(page_record(title, self.named_flights("run")), path)
 
     def save_states(self, path: Path | str) -> None:
         """Write all runs, as arrays (``.npz``) or as a table (``.csv``); see ``flights.files``.

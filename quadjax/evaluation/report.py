@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from quadjax.config.schema import Config, Vehicle
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
-from quadjax.core.plotting import INK, MUTED, PAPER, new_figure, save_figure, tidy
+from quadjax.core.plotting import INK, MUTED, PAPER, headline, new_figure, save_figure, tidy
 from quadjax.core.provenance import provenance
 from quadjax.evaluation.figures import MANY, Groups, colors_of, trajectory_figure
 from quadjax.evaluation.table import Format, counted, flights_table
@@ -114,6 +114,7 @@ class Report:
 
     groups: Groups
     config: Config
+    note: str = ""  # which flights these are, for titles and the table
 
     @property
     def gates(self) -> Sequence[GateSection]:
@@ -131,7 +132,9 @@ class Report:
 
     def table(self, format: Format = "text") -> str:
         """Laps and total of each flight; the fastest of its group is highlighted."""
-        return flights_table(self.groups).format(format)
+        table = flights_table(self.groups)
+        notes = [*table.notes, *filter(None, [self.note])]
+        return dataclasses.replace(table, notes=notes).format(format)
 
     def boxes(self) -> Figure:
         """Box plots of lap 1, of the laps after it and of the total, a box for each group.
@@ -168,6 +171,7 @@ class Report:
             axes.margins(x=0.08)
         panels[0].set_yticks(range(1, len(self.groups) + 1), names)
         panels[0].set_ylim(len(self.groups) + 0.6, 0.4)
+        headline(figure, self.title)
         return figure
 
     def gaps(self) -> Figure:
@@ -201,12 +205,15 @@ class Report:
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]) if ahead else 0.0)
         axes.set_xlabel("gate; dashed: the end of a lap", color=INK)
         axes.set_ylabel("behind the first at each gate (s)", color=INK)
+        axes.set_title(self.title, color=INK, fontsize=13, loc="left")
         figure.legend(loc="outside upper left", ncols=4, frameon=False, labelcolor=INK, fontsize=9)
         return figure
 
     def trajectories(self) -> Figure:
         """From above and from the side, groups next to each other, colored by speed."""
-        return trajectory_figure(self.groups, self.gates)
+        figure = trajectory_figure(self.groups, self.gates)
+        headline(figure, self.title)
+        return figure
 
     def responses(self) -> dict[str, tuple[Flight, Response]]:
         """The fastest flight of each group with its ``response``, by label, where there is one."""
@@ -231,6 +238,14 @@ class Report:
             raise InputError(f"{label}: the vehicle has no model of its commands")
         best, signals = responses[label]
         return error_figure(best, signals, len(self.gates), f"{label}, {best.name}")
+
+    @property
+    def title(self) -> str:
+        """The drone and the track of all flights, or those of the config."""
+        races = {f.source.get("race") for flights in self.groups.values() for f in flights}
+        own = f"{self.config.vehicle.name}, {self.config.track.name}"
+        named = str(races.pop() or own) if len(races) == 1 else own
+        return "; ".join(filter(None, (named, self.note)))
 
     def figures(self) -> Iterator[tuple[str, Figure]]:
         """Every figure by name: ``boxes``, ``gaps``, ``trajectories``, ``errors_N`` of group N."""

@@ -223,5 +223,9 @@ def policy_table(rows: Sequence[Row], column: str) -> Table:
             total = [number(row.total) if label == place else "" for label in conditions]
             lines.append([f"published {row.policy}", *total])
     runs = rows[0].runs
-    note = f"Seconds for all laps, mean of the flights that finish; in brackets, of {runs} flights."
-    return Table(["policy", *conditions], lines, [note] if column == "total" else [])
+    notes = {
+        "total": "Seconds for all laps, mean of the flights that finish; in brackets, of",
+        "crashed": "Part of the flights that crash / median of all laps but the first, s; of",
+    }
+    note = notes.get(column, f"Each cell: {COLUMNS[column][0]}; of")
+    return Table(["policy", *conditions], lines, [f"{note} {counted(runs, 'flight')}."])

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from optuna.distributions import CategoricalDistribution
 from optuna.trial import FrozenTrial
 
-from quadjax.core.plotting import INK, MUTED, SERIES, SPEED_COLORS, head, new_figure, tidy
+from quadjax.core.plotting import INK, MUTED, SERIES, SPEED_COLORS, head, headline, new_figure, tidy
 
 COLUMNS = 3  # panels of slices in a row, at most
 TICKS = 4  # numbers on the axis of a key, about
@@ -103,7 +103,7 @@ def _slices(keys: Sequence[_Key], values: np.ndarray, title: str) -> Figure:
     rows = -(-len(keys) // COLUMNS)
     columns = -(-len(keys) // rows)
     figure = new_figure(3.4 * columns + 0.8, 2.9 * rows + 0.6)
-    figure.suptitle(title, color=INK, fontsize=13, x=0.02, ha="left")
+    headline(figure, title)
     grid = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
     best = values.argmin()
     for key, axes in zip(keys, grid, strict=False):

@@ -1,12 +1,14 @@
 """The command quadjax: subcommands, help, exit status, Ctrl-C, one-line errors."""
 
 import errno
+import gc
 import os
 import re
 import runpy
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -16,7 +18,7 @@ from quadjax.cli import call
 from quadjax.cli.output import resuming_command
 from quadjax.core.errors import InputError, run_command
 from quadjax.core.imports import load_object, user_numbers
-from quadjax.core.interruptions import interruptions
+from quadjax.core.interruptions import interruptions, repeat_lost
 from quadjax.core.resources import policy_names, preset_names
 from tests.commands import run
 from tests.scripts import run_script
@@ -229,3 +231,19 @@ def test_an_interrupt_during_imports_is_quiet(tmp_path):
         process.kill()
     assert process.returncode == 130
     assert "Traceback" not in error
+
+
+def test_an_interruption_that_a_callback_swallows_is_repeated(monkeypatch, capfd):
+    """As of JAX's callback of the garbage collector: nothing is printed, and the command ends."""
+
+    def lose(phase, info):
+        gc.callbacks.remove(lose)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys, "unraisablehook", sys.__unraisablehook__)
+    repeat_lost()
+    gc.callbacks.append(lose)
+    with pytest.raises(KeyboardInterrupt):
+        gc.collect()
+        time.sleep(20.0)
+    assert capfd.readouterr().err == ""

@@ -240,7 +240,8 @@ vehicle.model=boat | vehicle.model is 'boat', allowed: motor, rate
 vehicle.constants.k_w=0 | vehicle.constants.k_w is 0.0, allowed: a positive number
 vehicle.constants.k_w=1 | give a thrust of 3.67e+06 to 4.93e+07 times the weight, allowed
 vehicle.constants.i_xx=1 | i_xx is 1.0, allowed: at most 0.003296, the sum of the other moments
-vehicle.width=1 | overrides: vehicle.width is 1.0, allowed: below 1, a side of track.gates[0].size
+vehicle.width=1 | square4.yaml: track.gates[0].size is [1.0, 1.0], allowed: sides above 1 m, \
+vehicle.width of Parrot Bebop 1
 reward.overspeed=3 | reward.overspeed is 3.0, allowed: 20.0 without rules.speed_limit
 vehicle.constants.tau=0.005 | vehicle.constants.tau is 0.005, allowed: above 0.005 s
 vehicle.mismatch.k_z2=1.1 | unknown key vehicle.mismatch.k_z2; did you mean k_z?

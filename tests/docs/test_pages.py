@@ -66,6 +66,13 @@ def test_files_of_the_repository_exist():
     assert not [f"{name_of(page)}: {path}" for page, path in named if not (ROOT / path).is_file()]
 
 
+def test_an_example_can_be_run_again():
+    """Whatever it writes, it replaces."""
+    for path in sorted((ROOT / "examples").glob("*.py")):
+        for call in re.findall(r"quadjax\.(?:train|export_c)\((.*)\)", path.read_text("utf-8")):
+            assert "overwrite=True" in call or "**options" in call, f"{path.name}: {call}"
+
+
 def test_blocks_name_their_language():
     blocks = [block for page in PAGES for block in blocks_of(page)]
     assert len(blocks) > 50

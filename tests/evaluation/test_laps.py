@@ -140,6 +140,7 @@ def test_a_table_has_three_forms_and_a_drone_that_hovers_no_lap():
     assert (still.crashed, still.without_lap, still.runs) == (0, 2, 2)
     text = table.policy_table([still], "crashed").format("markdown")
     assert "| mine | 0% and 100% without a lap / - |" in text
+    assert text.endswith("crash / median of all laps but the first, s; of 2 flights.")
     assert still.to_json()["lap"] is None and still.to_json()["without_lap"] == 2
     rows = [Row("a_b & 100%", flights(3.0, 5.0)), Row("c", flights(4.0))]
     shown = table.lap_table([dataclasses.replace(row, published=published.INDI) for row in rows])

@@ -84,6 +84,25 @@ def test_gaps_are_behind_the_first_of_the_flights_that_finish(groups):
     assert "(s)" in axes.get_ylabel() and axes.get_legend() is None
 
 
+def test_every_figure_names_the_drone_the_track_and_which_flights(groups):
+    flown = {
+        label: [f.replace(source={"race": "5-inch, ring"}) for f in group]
+        for label, group in groups.items()
+    }
+    for report, wanted in (
+        (Report(groups, RACE), f"{RACE.vehicle.name}, {RACE.track.name}"),
+        (
+            Report(flown, RACE, "the first 5 of 10 flights of each"),
+            "5-inch, ring; the first 5 of 10",
+        ),
+    ):
+        for draw in (report.boxes, report.gaps, report.trajectories):
+            figure = draw()
+            title = figure.get_suptitle() or figure.axes[0].get_title("left")
+            assert title.startswith(wanted)
+        assert ("the first 5 of 10 flights" in report.table()) == bool(report.note)
+
+
 def test_trajectories_share_axes_and_one_color_scale(groups):
     *panels, bar = trajectory_figure(groups, RACE.track.gates).axes
     scales = {tuple(np.round(c.get_clim(), 9)) for axes in panels for c in axes.collections}

@@ -11,7 +11,7 @@ from quadjax.core.resources import PRETRAINED
 from quadjax.fitting.flight_log import log_flight
 from quadjax.flights.files import lap_times, load, save
 from quadjax.sources import load_flights
-from quadjax.view.data import page_record
+from quadjax.view.data import page_record, title_of
 from tests.commands import run
 from tests.view.scenes import GATES, circle
 
@@ -36,6 +36,30 @@ def test_flights_best_laps_and_lap_times_make_one_page(tmp_path):
     assert [flight.name for flight in again] == ["first", "b", "times"]
     np.testing.assert_allclose(again[2].lap_times, lap_times("times", [2.9, 2.8]).lap_times)
     assert page_record("All", again)["markers"] == record["markers"]
+
+
+def test_a_page_names_what_flies_and_tells_sources_apart(tmp_path):
+    """The title: flights, drone and track, where these are known and the same."""
+    one, other = (circle("e2e").replace(source={"race": f"{x}, ring"}) for x in ("Bebop", "5-inch"))
+    for names, flights, wanted in (
+        (("e2e",), [one], "e2e: Bebop, ring"),
+        (("a", "b"), [one, one], "a, b: Bebop, ring"),
+        (("a", "b"), [one, other], "a, b"),
+        (("a", "b", "c", "d"), [one] * 4, "4 flights: Bebop, ring"),
+        (("log",), [circle("log")], "log: hall"),
+    ):
+        named = [f.replace(name=name) for f, name in zip(flights, names, strict=True)]
+        assert (
+            title_of([*named, lap_times("paper", [1.0])], "hall" if "log" in names else "")
+            == wanted
+        )
+    for folder in ("mine", "yours"):
+        save([one], tmp_path / folder / "flown.npz")
+    files = [tmp_path / folder / "flown.npz" for folder in ("mine", "yours")]
+    assert run("view", *files, "--output", tmp_path / "page.json") == 0
+    record = json.loads((tmp_path / "page.json").read_text())
+    assert [each["name"] for each in record["flights"]] == [f"e2e ({file})" for file in files]
+    assert record["title"].endswith(": Bebop, ring")
 
 
 def test_a_log_is_a_flight_with_its_signals():
