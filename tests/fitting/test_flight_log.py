@@ -266,7 +266,10 @@ TABLES = {  # changed text of a log, and words of the line
         *("row 1", "separated by semicolons", "decimal point"),
     ),
     "spaces": (lambda text: text.replace(",", " "), "row 1", "separated by spaces"),
-    "two logs": (lambda text: text + text, "row 1002 begins another log, expected one log in a file"),
+    "two logs": (
+        lambda text: text + text,
+        "row 1002 begins another log, expected one log in a file",
+    ),
     "a unit in the name": (_with_unit, "'rate_p' is missing; there is 'Rate_P (rad/s)' (logs."),
 }
 

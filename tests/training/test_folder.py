@@ -1,7 +1,6 @@
 """The folder of a run: locked, of one kind, and never cleared of other people's files."""
 
 import json
-import math
 import shutil
 import subprocess
 import sys
