@@ -105,7 +105,8 @@ UNREADABLE = {
     "a: " + "9" * 5000: "not YAML of plain values (Exceeds the limit",
     "a: !!python/object:os.system x": "line 1: could not determine a constructor",
     "- 1": "expected a mapping",
-    "x: \x00": "not YAML",
+    "x: \x00": "is binary data, expected text",
+    "x: \x01": "not YAML",
 }
 
 
