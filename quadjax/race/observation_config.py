@@ -2,12 +2,13 @@
 
 from typing import Annotated, Literal
 
-from quadjax.core.sections import Code, Field, Needs, Section
-from quadjax.race.track import Span
+from quadjax.core.sections import LARGEST, ORDERED, Code, Field, Needs, Section
 
 Source = Literal["ground_truth", "estimated", "none"]  # of an observed disturbance or limit
 ESTIMATED: Source = "estimated"
 NONE: Source = "none"
+Actuator = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]  # in the model's unit
+Ends = Annotated[tuple[Actuator, Actuator], ORDERED]
 
 
 class Observation(Section):
@@ -40,7 +41,7 @@ class Observation(Section):
     actuators: bool = Field(
         True, description="observe the actuators' state; false: for drones that do not measure it"
     )
-    actuator_range: Annotated[Span | None, Needs("observation.actuators")] = Field(
+    actuator_range: Annotated[Ends | None, Needs("observation.actuators")] = Field(
         None,
         description="actuator states that are observed as -1 and 1, in the model's unit; null: "
         "their nominal range (arXiv 2504.21586: [0, 3000] rad/s)",

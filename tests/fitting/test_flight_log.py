@@ -138,7 +138,7 @@ def test_bad_files_are_one_line(tmp_path, columns, monkeypatch):
     lines = text.splitlines()
     for content, *words in (
         (text.replace("rpm_obs_3", "other", 1), "row 1", "'rpm_obs_3'", "missing"),
-        ("", "row 1", "empty"),
+        ("", "is empty"),
         (lines[0] + "\n", "row 1", "'time'", "0 rows"),
         ("\n".join([*lines[:50], "", *lines[50:]]), "row 51", "'time'", "empty"),
         ("\n".join([*lines[:50], lines[50] + ",7", *lines[51:]]), "row 51", "'7'"),

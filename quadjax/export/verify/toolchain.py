@@ -43,12 +43,17 @@ class Compiler:
         return output
 
 
+def has_module(name: str) -> bool:
+    """Whether a Python package is installed."""
+    return importlib.util.find_spec(name) is not None
+
+
 def host() -> Compiler:
     """The host's C compiler: cc, gcc, clang, or the one that pip installs."""
     for name in ("cc", "gcc", "clang"):
         if shutil.which(name):
             return Compiler(name, (name,), ("-std=c99", "-O2"))
-    if importlib.util.find_spec("ziglang"):
+    if has_module("ziglang"):
         command = (sys.executable, "-m", "ziglang", "cc")
         return Compiler("zig cc", command, ("-std=c99", "-O2", "-fno-sanitize=all"))
     raise Skipped("no C compiler on this machine; pip install ziglang")
