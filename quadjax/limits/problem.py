@@ -219,6 +219,8 @@ def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = N
         raise InputError("rules.gate_test: world_box is not supported by time-optimal laps")
     if params.battery is not None:
         raise InputError("battery: time-optimal laps do not support it, allowed: null")
+    if params.track.closed and len(params.track.yaw) == 1:
+        raise InputError("track.gates: a lap of one gate, allowed: two gates or more, or a course")
     model, params = choices.model, double(exact_rules(choices.model, params))
     if math.isfinite(model.pitch_limit):
         model = model.with_options(quaternion=True)

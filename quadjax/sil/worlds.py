@@ -23,6 +23,7 @@ from quadjax.race import environment, laps
 from quadjax.race.laps import Laps, LapState
 from quadjax.race.types import Choices, RaceParams
 from quadjax.sil.faults import RPM_PER_RAD_S
+from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.protocol import Measurement, VehicleModel
 
 SET_BY_C = ("time_us", "rpm", "others_command")  # of ``VEHICLE``, in sil.c
@@ -73,9 +74,7 @@ class World:
 
     def constants(self) -> dict[str, float]:
         """The constants by name."""
-        return {
-            k: float(getattr(self.params.vehicle.constants, k)) for k in self.model.constant_names
-        }
+        return {k: float(x) for k, x in values_of(self.params.vehicle.constants).items()}
 
     def ranges(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest command (4,), in the model's units."""

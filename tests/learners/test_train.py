@@ -35,6 +35,7 @@ SCHEDULES = {
 @pytest.mark.parametrize("name", ["ppo", "shac"])
 def test_training_finds_the_best_action(name):
     """With one trace of the updates."""
+    chex.clear_trace_counter()
     rows, step = [], chex.assert_max_traces(ENVIRONMENT.step, n=1)
     environment = dataclasses.replace(ENVIRONMENT, step=step)
     arguments = environment, probe(best=1.0), 40_000, 0, NETWORK, SCHEDULES[name], rows.append
