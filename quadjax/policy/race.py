@@ -74,7 +74,7 @@ def own_race(policy: Policy, race: Config, name: Path | str = "policy") -> Confi
     """
     if policy.config is None:
         return None
-    parts = {key: policy.config[key] for key in (*FLOWN, "evaluate") if key in policy.config}
+    parts = {key: policy.config[key] for key in (*FLOWN, "evaluate", "run") if key in policy.config}
     return stored_config(parts, str(name), names_of_code(race))
 
 
