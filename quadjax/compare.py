@@ -1,6 +1,7 @@
 """E2E against INDI: flights by one protocol in the simulator and on the stand-in plant."""
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from quadjax.config.schema import Config, Vehicle
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, InputWarning
 from quadjax.core.files import write_json, write_text
 from quadjax.core.precision import single_precision
 from quadjax.core.provenance import file_record, provenance
@@ -133,7 +134,7 @@ def compare(
         options = dict(protocol) | {"plant": plant, "plants": plants, "progress": report}
         options["conditions"] = conditions.replace(deterministic=protocol["deterministic"])
         first, second = (
-            evaluate(each.policy, each.race, name=name, **options) for name, each in entered.items()
+            _fly(each, each.race, name=name, **options) for name, each in entered.items()
         )
         text, result["plants"] = plants_table(first.rows, second.rows)
         texts.append(text)
@@ -158,10 +159,16 @@ def fly_worlds(
             (ON_PLANT, each.race, plant),
         ):
             report(f"{name} {world}")
-            file = str(each.file)
-            result = evaluate(each.policy, config, name=file, plant=drone, **protocol)
+            result = _fly(each, config, name=str(each.file), plant=drone, **protocol)
             flown[f"{name} {world}"] = result
     return flown
+
+
+def _fly(entered: Contender, config: Config, **options: Any) -> Evaluation:
+    """``evaluate`` without its warning of another race, which ``contenders`` gives."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*: trained in another race", InputWarning)
+        return evaluate(entered.policy, config, **options)
 
 
 def table_text(vehicle: Vehicle, flown: Mapping[str, Evaluation]) -> str:

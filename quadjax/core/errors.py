@@ -39,21 +39,23 @@ def warn(text: str) -> None:
 def _printed_warnings() -> Iterator[None]:
     """Print each ``InputWarning`` in the block as one line on stderr."""
     with warnings.catch_warnings():
-        show = warnings.showwarning
+        show, printed = warnings.showwarning, set[str]()
 
         def print_line(
             message: Warning | str, category: type[Warning], *rest: Any, **named: Any
         ) -> None:
-            if issubclass(category, InputWarning):
-                print(f"warning: {as_options(str(message))}", file=sys.stderr)
-            else:
+            text = as_options(str(message))
+            if not issubclass(category, InputWarning):
                 show(message, category, *rest, **named)
+            elif text not in printed:
+                printed.add(text)
+                print(f"warning: {text}", file=sys.stderr)
 
         warnings.showwarning = print_line
         # JAX compiles where its cache cannot be read or written, which needs no message.
         cache = "Error (reading|writing) persistent compilation cache entry"
         warnings.filterwarnings("ignore", cache)
-        warnings.simplefilter("default", InputWarning)
+        warnings.simplefilter("always", InputWarning)
         yield
 
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ import pytest
 import quadjax
 from quadjax.cli import call
 from quadjax.cli.output import resuming_command
-from quadjax.core.errors import InputError, run_command
+from quadjax.core.errors import InputError, run_command, warn
 from quadjax.core.imports import load_object, user_numbers
 from quadjax.core.interruptions import interruptions, repeat_lost
 from quadjax.core.resources import policy_names, preset_names
@@ -87,6 +88,19 @@ def test_a_script_of_the_benchmarks_is_short_and_has_help(script, capsys):
         assert "Usage:" in capsys.readouterr().out
         assert run_script(script.stem, "--nosuch") == 2
         assert re.fullmatch("error: .+\n", capsys.readouterr().err)
+
+
+def test_a_warning_is_printed_once_for_each_text(capsys):
+    """Also where a library changes the filters in between, which makes Python forget them."""
+
+    def main():
+        for text in ("one", "two", "one"):
+            warn(text)
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", DeprecationWarning)
+
+    assert run_command(main) == 0
+    assert capsys.readouterr().err == "warning: one\nwarning: two\n"
 
 
 IN_THE_TYPE = """

@@ -1,5 +1,6 @@
 """E2E against INDI: rows, the lead on common flights, drawn plants, and the command."""
 
+import importlib
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,7 +11,7 @@ import pytest
 from benchmarks.ablation import VARIANTS
 from quadjax import compare
 from quadjax.config.loading import load_config
-from quadjax.core.errors import InputWarning
+from quadjax.core.errors import InputError, InputWarning
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation import report
 from quadjax.evaluation.plants import drawn
@@ -21,6 +22,7 @@ from quadjax.training.build import untrained_policy
 from tests.commands import run
 from tests.evaluation.support import flights
 
+evaluation = importlib.import_module("quadjax.evaluation.evaluate")  # not the function
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -99,6 +101,22 @@ def test_contenders_fly_their_own_races_which_must_be_alike(tmp_path, capsys):
     change = "vehicle.constants.thrust_max=18"
     assert run("compare", "standin", change, "--output", tmp_path) == 2
     assert "(overrides change the plant, not the race)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("part", ["plants", "table"])
+def test_a_race_of_neither_is_told_once_of_each(part, tmp_path, capsys, monkeypatch):
+    """The warnings are those of the contenders, although each flies several times."""
+
+    def stop(*_, **__):
+        raise InputError("stopped")
+
+    monkeypatch.setattr(evaluation, {"plants": "fly_plants", "table": "simulate"}[part], stop)
+    race = tmp_path / "race.yaml"
+    race.write_text("base: e2e\nrules: {position_limit: 20}\n")
+    where = ("--race", race, "--parts", part, "--output", tmp_path)
+    assert run("compare", "standin", *where) == 2
+    error = capsys.readouterr().err
+    assert "error: stopped" in error and error.count("trained in another race") == 2
 
 
 def test_drawn_plants_differ_in_their_constants_only():
