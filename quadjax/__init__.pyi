@@ -5,6 +5,7 @@ from quadjax.config.loading import load as load
 from quadjax.config.schema import Config as Config
 from quadjax.core.environment import Environment as Environment
 from quadjax.core.errors import InputError as InputError
+from quadjax.core.errors import InputWarning as InputWarning
 from quadjax.core.resources import presets as presets
 from quadjax.core.sections import Section as Section
 from quadjax.core.vectors import safe_norm as safe_norm

@@ -48,6 +48,10 @@ def test_every_public_name_exists_and_is_documented():
     with pytest.raises(AttributeError, match="no attribute 'fly'"):
         quadjax.fly  # noqa: B018
     assert {"e2e", "e2e_race", "indi"} <= set(quadjax.presets())
+    pages = [ROOT / "docs" / "reference" / f"{page}.md" for page in ("api", "interfaces")]
+    named = "".join(page.read_text() for page in pages)
+    assert [name for name in quadjax.__all__ if name not in named] == ["__version__"]
+    assert issubclass(quadjax.InputWarning, UserWarning)
 
 
 @pytest.mark.slow
