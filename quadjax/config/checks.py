@@ -6,7 +6,7 @@ where it is declared, code where it is imported (``core.imports``), files where 
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from quadjax.config.schema import Config, Schedule
 from quadjax.core.errors import InputError, close_match, prefixed, short
@@ -16,7 +16,7 @@ from quadjax.learners.schedules import Curriculum
 from quadjax.race.draws import Randomization
 from quadjax.race.random_track import FARTHEST
 from quadjax.race.track import check_lap
-from quadjax.vehicle.constants import declarations
+from quadjax.vehicle.constants import Sign, declarations
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import base_model
 
@@ -33,6 +33,12 @@ NEEDS = {  # keys that have an effect only with another one, which their fields 
 }
 GROUPS = [x for x, f in Randomization.model_fields.items() if f.default == 0.0 and x != "all"]
 CURRICULUM = [f"curriculum.{name}" for name in Curriculum.model_fields]
+SIGNS: dict[Sign, tuple[Callable[[float], bool], str]] = {  # of constants, and what is allowed
+    "positive": (lambda value: value > 0, "a positive number"),
+    "nonnegative": (lambda value: value >= 0, "at least 0"),
+    "direction": (lambda value: abs(value) == 1, "1 (counter-clockwise seen from above) or -1"),
+    "any": (lambda value: True, ""),
+}
 Values = Mapping[str, float]
 
 
@@ -181,10 +187,9 @@ def check_drone(config: Config) -> None:
             raise BadValue(key, f"unknown key {key}{hint}; allowed there: {listed}")
     _check_population(config, model)
     for name, declared in declarations(model.constants).items():
-        if declared.sign == "positive" and constants[name] <= 0:
-            refuse(f"vehicle.constants.{name}", constants[name], "a positive number")
-        if declared.sign == "nonnegative" and constants[name] < 0:
-            refuse(f"vehicle.constants.{name}", constants[name], "at least 0")
+        holds, allowed = SIGNS[declared.sign]
+        if not holds(constants[name]):
+            refuse(f"vehicle.constants.{name}", constants[name], allowed)
     inertia = {name: constants[name] for name in model.groups.get("inertia", ())}
     if len(inertia) == 3:
         name = max(inertia, key=inertia.__getitem__)

@@ -19,7 +19,7 @@ Kind = TypeVar("Kind")
 KEY = "constant"
 
 
-Sign = Literal["positive", "nonnegative", "any"]
+Sign = Literal["positive", "nonnegative", "direction", "any"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Declaration:
         group: key of the config's section ``randomization`` that scales the constant. The group
             ``inertia`` is in the order x, y, z; the constants of the group ``lag`` are time
             constants, s.
-        sign: that the number must have.
+        sign: that the number must have; a direction is 1 or -1.
         above: name of the constant that is the lower end of the range whose upper end this is:
             0 <= lower < upper.
     """

@@ -37,7 +37,7 @@ class RacingConstants(struct.PyTreeNode):
     k_q: Rotors = constant("rad/s^2/(rad/s)^2", "moment", "positive")  # pitch
     k_r: Rotors = constant("rad/s^2/(rad/s)", "yaw", "positive")  # rotor drag
     k_rd: Rotors = constant("rad/s^2/(rad/s^2)", "yaw", "nonnegative")  # rotor acceleration
-    turning: Rotors = constant()  # 1: counter-clockwise seen from above, -1: clockwise
+    turning: Rotors = constant(sign="direction")  # 1: counter-clockwise seen from above
     w_min: jax.Array = constant("rad/s", "limits")  # speed at command 0
     w_max: jax.Array = constant("rad/s", "limits", above="w_min")  # speed at command 1
     k: jax.Array = constant("", "motor_map")  # curvature of the motor map, 0 to 1

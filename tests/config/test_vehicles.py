@@ -61,6 +61,7 @@ rear_left, | middle, | rotors is ['middle', 'rear_right', 'front_right', 'front_
 [4.0e-6, 3.0e-6, 2.0e-6, 1.0e-6] | [[4.0e-6], 3.0e-6, 2, 1] | k_p4 is [4e-06], allowed: a number
 rear_left, | [rear_left], | rotors is [['rear_left'], 'rear_right', 'front_right', 'front_left']
 [ccw, cw, ccw, cw] | [cw, cw, ccw, ccw] | mine.yaml: vehicle.constants: the rotors set only 3
+k: 0.5 | k: 0.5, turning2: 7 | turning2 is 7.0, allowed: 1 (counter-clockwise seen from above) or -1
 k_q: 5.0e-6 | k_q1: 5 | vehicle.constants.k_q2 is missing
 model: racing | size: 3 | mine.yaml: size is 3; allowed: name, mass, width, fitted_speed, model, rot
 """.strip().splitlines()
