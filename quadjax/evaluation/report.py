@@ -137,7 +137,7 @@ class Report:
         return dataclasses.replace(table, notes=notes).format(format)
 
     def boxes(self) -> Figure:
-        """Box plots of lap 1, of the laps after it and of the total, a box for each group.
+        """Box plots of lap 1 and, if there are more, of the later laps and the total, by group.
 
         Boxes from the first to the third quartile with the median, whiskers to the last flight
         within 1.5 times their range, and a dot for each flight. Flights that did not finish count
@@ -145,17 +145,20 @@ class Report:
         """
         colors, names = colors_of(self.groups), list(self.groups)
         count = max(len(f.lap_times) for flights in self.groups.values() for f in flights)
-        later = f"laps 2 to {count} (s)" if count > 2 else "lap 2 (s)"
         columns: dict[str, list[Sequence[float]]] = {
             "lap 1 (s)": [[t for f in v for t in f.lap_times[:1]] for v in self.groups.values()],
-            later: [[t for f in v for t in f.lap_times[1:]] for v in self.groups.values()],
-            f"total of {counted(count, 'lap')} (s)": [
-                [f.total for f in v if len(f.lap_times) == count and np.isfinite(f.total)]
-                for v in self.groups.values()
-            ],
         }
+        if count > 1:
+            later = f"laps 2 to {count} (s)" if count > 2 else "lap 2 (s)"
+            columns |= {
+                later: [[t for f in v for t in f.lap_times[1:]] for v in self.groups.values()],
+                f"total of {count} laps (s)": [
+                    [f.total for f in v if len(f.lap_times) == count and np.isfinite(f.total)]
+                    for v in self.groups.values()
+                ],
+            }
         figure = new_figure(9.6, 1.1 + 0.5 * len(self.groups))
-        panels = figure.subplots(1, 3, sharey=True)
+        panels = figure.subplots(1, len(columns), sharey=True, squeeze=False)[0]
         for axes, (label, times) in zip(panels, columns.items(), strict=True):
             tidy(axes)
             axes.grid(False, axis="y")

@@ -119,6 +119,11 @@ def test_boxes_have_units_and_every_flight(groups):
     dots = [[len(line.get_xdata()) for line in a.lines if line.get_marker() == "o"] for a in panels]
     assert panels[0].get_ylim()[0] > panels[0].get_ylim()[1]  # the first group is at the top
     assert dots == [[3, 2], [3, 1], [3, 1]]
+    first = {
+        label: [f.replace(lap_ends=f.lap_ends[:1]) for f in flights]
+        for label, flights in groups.items()
+    }
+    assert [axes.get_xlabel() for axes in Report(first, RACE).boxes().axes] == ["lap 1 (s)"]
 
 
 def test_errors_are_to_the_first_order_response_of_the_commands(groups):
