@@ -60,6 +60,9 @@ def test_a_page_names_what_flies_and_tells_sources_apart(tmp_path):
     record = json.loads((tmp_path / "page.json").read_text())
     assert [each["name"] for each in record["flights"]] == [f"e2e ({file})" for file in files]
     assert record["title"].endswith(": Bebop, ring")
+    assert run("view", files[0], files[0], "--output", tmp_path / "page.json") == 0
+    record = json.loads((tmp_path / "page.json").read_text())
+    assert [each["name"] for each in record["flights"]] == [f"e2e ({files[0]} {i})" for i in (1, 2)]
 
 
 def test_a_log_is_a_flight_with_its_signals():
