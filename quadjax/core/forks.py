@@ -15,8 +15,17 @@ _forked = False  # this process, after JAX had started
 
 def _before() -> None:
     global _started
+    _started = _jax_has_started()
+
+
+def _jax_has_started() -> bool:
+    """Whether JAX has started; in a version that does not tell, whether it is imported.
+
+    Its public functions start it, so none of them tells.
+    """
     bridge = sys.modules.get("jax._src.xla_bridge")
-    _started = bool(getattr(bridge, "_backends", None))
+    has_started = getattr(bridge, "backends_are_initialized", None)
+    return "jax" in sys.modules if has_started is None else bool(has_started())
 
 
 def _in_child() -> None:
