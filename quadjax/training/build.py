@@ -133,6 +133,9 @@ def reward_scale(config: Config) -> float:
 def initial_policy(config: Config) -> Policy | None:
     """The policy of ``run.initial_policy``, if there is one, in the scaling of the config's race.
 
+    Its noise may be on the mean or on the clipped mean: the mean action, clipped, is the same, and
+    the config's learner defines where it adds noise.
+
     Raises:
         InputError: a file that cannot be read, or whose network is not the config's.
     """

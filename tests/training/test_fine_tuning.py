@@ -74,6 +74,7 @@ RACES = {  # overrides of a race that goes on with a policy of the Bebop 1 and 3
     "wider limits": ["vehicle.constants.rpm_max=12000", "vehicle.constants.rpm_min=2500"],
     "other disturbances": ["disturbance.moment_x=0.08", "disturbance.force_z=0.5"],
     "no moment": ["disturbance.moment_x=0"],
+    "another learner": ["learner.algorithm=shac"],  # whose noise is on the clipped mean
     "normalized": ["network.normalize=true", "vehicle.constants.rpm_max=10500"],
 }
 
@@ -110,6 +111,7 @@ def test_a_training_starts_with_the_commands_of_the_file(race, tmp_path, recwarn
             values.append(mlp(each.value, seen))
         np.testing.assert_allclose(commands[1], commands[0], rtol=2e-6)
         np.testing.assert_allclose(values[1], values[0], rtol=1e-4, atol=1e-6)
+    assert (file.noise_on == trained.noise_on) == (race != "another learner")
     width = np.exp(trained.log_std) * (trained.command_high - trained.command_low)
     own_width = np.exp(file.log_std) * (file.command_high - file.command_low)
     np.testing.assert_allclose(width, own_width, rtol=1e-6)
