@@ -7,34 +7,37 @@ from pathlib import Path
 from quadjax.core.errors import InputError, reading
 
 HEAD = 4096  # bytes that are looked at
-TEXT, NPZ, TORCH, SB3, PICKLE, EMPTY = "text", "npz", "torch", "sb3", "pickle", "empty"
+TEXT, EMPTY = "text", "empty"
+NPZ = "an archive of NumPy arrays (.npz)"
+TORCH, SB3 = "a file of PyTorch (.pt)", "a model of Stable-Baselines3 (.zip)"
+PICKLE = "a pickle, which is not loaded, as that may execute what is in it"
 ULOG, ULOG_MAGIC = "a ULog file of PX4 (.ulg)", b"ULog\x01\x12\x35"
-BLACKBOX = re.compile(rb"H Product:\s*Blackbox")
-WHAT = {  # kinds whose name is not what a message says
-    NPZ: "an archive of NumPy arrays (.npz)",
-    TORCH: "a file of PyTorch (.pt)",
-    SB3: "a model of Stable-Baselines3 (.zip)",
-    PICKLE: "a pickle, which is not loaded, as that may execute what is in it",
-}
-MAGIC = {  # first bytes
-    b"version https://git-lfs": "a pointer of Git LFS, not the file itself (git lfs pull gets it)",
-    b"\x93NUMPY": "one NumPy array (.npy)",
+SPACE = rb"(\xef\xbb\xbf)?\s*"  # before the text of a page or a table
+KINDS = {  # by a regular expression of the first bytes; the first that matches
+    rb"$": EMPTY,
+    rb"version https://git-lfs": "a pointer of Git LFS, not the file itself (git lfs pull gets it)",
+    SPACE
+    + rb"(?i:<(!doctype|html|head)\b)": "an HTML page, perhaps the page of a download and not "
+    "the file",
+    SPACE + rb"H Product:\s*Blackbox": "a raw blackbox log (blackbox_decode converts it to CSV)",
+    rb"\x93NUMPY": "one NumPy array (.npy)",
     ULOG_MAGIC: ULOG,
-    b"\x1f\x8b": "compressed by gzip",
-    b"\xfd7zXZ": "compressed by xz",
-    b"BZh": "compressed by bzip2",
-    b"(\xb5/\xfd": "compressed by zstd",
-    b"7z\xbc\xaf": "an archive of 7-Zip",
-    b"Rar!": "an archive of RAR",
-    b"\x89HDF": "an HDF5 file",
-    b"PAR1": "a Parquet file",
-    b"SQLite format 3": "an SQLite database",
-    b"%PDF": "a PDF document",
-    b"\x89PNG": "a PNG image",
-    b"\x7fELF": "a compiled program",
-    b"\xa3\x95\x80": "a dataflash log of ArduPilot",
-    b"\xff\xfe": "text in UTF-16, not in UTF-8",
-    b"\xfe\xff": "text in UTF-16, not in UTF-8",
+    rb"\x1f\x8b": "compressed by gzip",
+    rb"\xfd7zXZ": "compressed by xz",
+    rb"BZh": "compressed by bzip2",
+    rb"\(\xb5/\xfd": "compressed by zstd",
+    rb"7z\xbc\xaf": "an archive of 7-Zip",
+    rb"Rar!": "an archive of RAR",
+    rb"\x89HDF": "an HDF5 file",
+    rb"PAR1": "a Parquet file",
+    rb"SQLite format 3": "an SQLite database",
+    rb"%PDF": "a PDF document",
+    rb"\x89PNG": "a PNG image",
+    rb"\x7fELF": "a compiled program",
+    rb"\xa3\x95\x80": "a dataflash log of ArduPilot",
+    rb"\xff\xfe|\xfe\xff": "text in UTF-16, not in UTF-8",
+    rb"\x80[\x02-\x05]": PICKLE,
+    rb"[^\0]*$": TEXT,
 }
 
 
@@ -48,17 +51,7 @@ def kind_of(path: Path | str) -> str:
         head = stream.read(HEAD)
         if head.startswith(b"PK"):
             return _kind_of_zip(path)
-    start = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    if not head:
-        return EMPTY
-    if re.match(rb"(?i)<(!doctype|html|head)\b", start):
-        return "an HTML page, perhaps the page of a download and not the file"
-    if BLACKBOX.match(start):
-        return "a raw blackbox log (blackbox_decode converts it to CSV)"
-    known = [kind for magic, kind in MAGIC.items() if head.startswith(magic)]
-    if not known and re.match(rb"\x80[\x02-\x05]", head):
-        return PICKLE
-    return known[0] if known else "binary data" if b"\0" in head else TEXT
+    return next((kind for start, kind in KINDS.items() if re.match(start, head)), "binary data")
 
 
 def _kind_of_zip(path: Path | str) -> str:
@@ -83,4 +76,4 @@ def check_kind(path: Path | str, expected: str, *kinds: str) -> None:
         InputError: it says what the file is, and what is ``expected``.
     """
     if (kind := kind_of(path)) not in kinds:
-        raise InputError(f"{path}: is {WHAT.get(kind, kind)}, expected {expected}")
+        raise InputError(f"{path}: is {kind}, expected {expected}")

@@ -128,7 +128,7 @@ def read_text(path: Path | str, limit: int = MAX_BYTES, empty: bool = False) -> 
             not UTF-8.
     """
     check_file(path)
-    check_kind(path, "text", TEXT, *([EMPTY] if empty else []))
+    check_kind(path, TEXT, TEXT, *([EMPTY] if empty else []))
     with reading(path):
         with open(path, "rb") as stream:
             data = stream.read(limit + 1)
@@ -158,7 +158,7 @@ def read_npz(
         InputError: no such file, not an npz, damaged, pickled, too large, or of another format.
     """
     check_file(path)
-    check_kind(path, "an archive of NumPy arrays (.npz)", NPZ)
+    check_kind(path, NPZ, NPZ)
     try:
         with zipfile.ZipFile(path) as archive:
             entries = [name.removesuffix(".npy") for name in archive.namelist()]
