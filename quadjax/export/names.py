@@ -1,6 +1,5 @@
 """The names in an exported folder, and checks of names and folders that need no JAX."""
 
-import functools
 import math
 import re
 from pathlib import Path
@@ -8,7 +7,6 @@ from pathlib import Path
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file
 from quadjax.core.folders import check_kind, kind_of
-from quadjax.export.targets import RUNTIME
 
 KIND = "export"
 POLICY_FILE, CONFIG_FILE, RESIDUAL_FILE = "policy.npz", "config.yaml", "residual.npz"
@@ -17,8 +15,7 @@ LONGEST_NAME = 31
 SMALLEST, LARGEST = 2.0**-20, 2.0**20  # half-widths of the inputs' ranges
 POWER_OF_TWO = "a power of two, 2^-20 to 2^20"
 RESERVED = re.compile(r"(qj|quadjax|neural_network|nn_controller|controller_quadjax)(_|$)")
-INCLUDED = re.compile(r'#include\s*[<"](?:[\w/]*/)?(\w+)\.[ch][">]')
-HEADERS = frozenset(  # of C, POSIX, firmware, and names that no file has on Windows
+HEADERS = frozenset(  # of C, POSIX, firmware, all that the runtime includes, and names on Windows
     """
     assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign
     stdarg stdatomic stdbit stdbool stdckdint stddef stdint stdio stdlib stdnoreturn string tgmath
@@ -29,7 +26,8 @@ HEADERS = frozenset(  # of C, POSIX, firmware, and names that no file has on Win
     memory values
     abi actuators autopilot board build_config common config debug drivers freertos generated led
     main motor paparazzi pinmux platform rc servo state std system types uart utils version
-    arm_math cmsis_compiler cmsis_gcc core_cm4 core_cm7
+    arm_math arm_neon auxv cmsis_compiler cmsis_gcc core_cm4 core_cm7 firmware preflight_checks
+    sys_time telemetry
     aux con nul prn
     """.split()
 )
@@ -65,14 +63,7 @@ def symbol_name(name: str | None, file: str) -> str:
 
 def _is_taken(name: str) -> bool:
     """Whether ``NAME.h`` may stand in the place of another header."""
-    return bool(RESERVED.match(name)) or name in HEADERS | _included()
-
-
-@functools.cache
-def _included() -> frozenset[str]:
-    """The names of the files that the runtime and the glue include."""
-    files = [path for path in RUNTIME.rglob("*") if path.suffix in (".c", ".h")]
-    return frozenset(name for path in files for name in INCLUDED.findall(path.read_text("utf-8")))
+    return bool(RESERVED.match(name)) or name in HEADERS
 
 
 def is_range(size: float) -> bool:

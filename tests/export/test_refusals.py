@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from quadjax.export import flights
 from quadjax.export.convert import export_c
 from quadjax.export.names import symbol_name
 from quadjax.export.network import convert
+from quadjax.export.targets import RUNTIME
 from quadjax.race.layout import Layout, ObservedField
 from tests.export.support import config_of, made, random_rollouts
 
@@ -151,7 +153,14 @@ def test_no_file_of_an_export_has_the_name_of_a_header(stem, name):
     assert symbol_name(None, f"folder/{stem}.npz") == (name or f"policy_{stem}")
 
 
-@pytest.mark.parametrize("name", ["math", "string", "qj", "state", "preflight_checks", "nul"])
+SOURCES = [path for path in RUNTIME.rglob("*") if path.suffix in (".c", ".h")]
+INCLUDE = re.compile(r'#include\s*[<"](?:[\w/]*/)?(\w+)\.[ch][">]')
+INCLUDED = {name for path in SOURCES for name in INCLUDE.findall(path.read_text("utf-8"))}
+
+
+@pytest.mark.parametrize("name", sorted({"string", "state", "nul", "qj"} | INCLUDED))
 def test_a_name_of_a_header_is_refused(name):
+    """Also that of every file that the runtime or the glue includes."""
+    assert len(INCLUDED) > 20
     with pytest.raises(InputError, match=f"choose another, such as policy_{name}"):
         symbol_name(name, "a.npz")
