@@ -11,7 +11,6 @@ import numpy as np
 from quadjax.config.schema import Config, Vehicle
 from quadjax.core.errors import InputError, InputWarning
 from quadjax.core.files import write_json, write_text
-from quadjax.core.precision import single_precision
 from quadjax.core.provenance import file_record, provenance
 from quadjax.core.yaml_files import to_yaml
 from quadjax.evaluation.conditions import Conditions
@@ -71,7 +70,6 @@ def contenders(files: Mapping[str, Path], race: Config | None = None) -> dict[st
     return found
 
 
-@single_precision
 def compare(
     entered: Mapping[str, Contender],
     plant: PlantConfig,

@@ -14,7 +14,6 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.plotting import INK, SERIES, head, new_figure, save_figure, tidy
-from quadjax.core.precision import single_precision
 from quadjax.core.provenance import provenance
 from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.report import FORMATS, Response, error_figure
@@ -49,7 +48,6 @@ CELLS = {  # of a command: title and format
 }
 
 
-@single_precision
 def replay(
     log: Flight,
     track: TrackSection,

@@ -30,7 +30,6 @@ RECORDED = 5  # flights of a plant that are recorded
 MOTOR_COMMAND = "motor_command"  # signal of a flight on the plant: commanded rotor speeds, rpm
 
 
-@single_precision
 def fly_plants(
     policy: Policy, name: str, race: Config, plant: PlantConfig, label: str, protocol: Conditions
 ) -> Row:

@@ -150,7 +150,6 @@ def export_c(
     return export
 
 
-@single_precision
 def convert_file(
     path: Path,
     options: Options,

@@ -47,7 +47,6 @@ class Flights:
     step: float  # s between frames
 
 
-@single_precision
 def plan_race(
     config: Config,
     plant: PlantConfig,
@@ -197,7 +196,6 @@ def check_steps(layout: Layout, training_step: float, step: float) -> None:
         )
 
 
-@single_precision
 def fly_plan(
     plan: Plan, seed: int = 0, report: Callable[[float], None] = lambda seconds: None
 ) -> Flights:
