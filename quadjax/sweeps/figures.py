@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import math
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from optuna.distributions import CategoricalDistribution
+from matplotlib.ticker import LogLocator, MaxNLocator
+from optuna.distributions import CategoricalDistribution, IntDistribution
 from optuna.trial import FrozenTrial
 
 from quadjax.core.plotting import INK, MUTED, SERIES, SPEED_COLORS, head, headline, new_figure, tidy
@@ -64,32 +64,28 @@ def _key(name: str, trials: Sequence[FrozenTrial]) -> _Key:
         last = max(len(choices) - 1, 1)
         places = np.array([choices.index(value) / last for value in values])
         return _Key(name, places, [(i / last, _text(x)) for i, x in enumerate(choices)])
-    scale: Any = math.log if kind.log else float
+    scale = np.log if kind.log else np.asarray
     low, high = scale(kind.low), scale(kind.high)
 
-    def place(value: float) -> float:
-        return (scale(value) - low) / (high - low or 1.0)
+    def places_of(numbers: Sequence[float]) -> np.ndarray:
+        return (scale(numbers) - low) / (high - low or 1.0)
 
-    return _Key(
-        name, np.array(list(map(place, values))), [(place(x), f"{x:g}") for x in _ticks(kind)]
-    )
+    ticks = _ticks(kind)
+    texts = [f"{number:g}" for number in ticks]
+    return _Key(name, places_of(values), [*zip(places_of(ticks), texts, strict=True)])
 
 
 def _ticks(kind: Any) -> list[float]:
-    """Round numbers of a range: 1, 2 and 5 times powers of ten on a log scale."""
-    if not kind.log:
-        step = (kind.high - kind.low or 1.0) / TICKS
-        power = 10.0 ** math.floor(math.log10(step))
-        step = power * next((x for x in (1, 2, 2.5, 5) if x * power >= step), 10)
-        first, last = math.ceil(kind.low / step - 1e-9), math.floor(kind.high / step + 1e-9)
-        return [round(i * step, 12) for i in range(first, last + 1)]
-    powers = range(math.floor(math.log10(kind.low)), math.ceil(math.log10(kind.high)) + 1)
-    for factors in ((1,), (1, 3), (1, 2, 5)):
-        ticks = [x * 10.0**power for power in powers for x in factors]
-        ticks = [x for x in ticks if kind.low * 0.999 <= x <= kind.high * 1.001]
+    """Round numbers of a range, three at least; of a log range as few of them as possible."""
+    factors = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0)) if kind.log else ()
+    whole = isinstance(kind, IntDistribution)
+    even = MaxNLocator(TICKS, steps=[1, 2, 2.5, 5, 10], integer=whole, min_n_ticks=2)
+    for locator in (*(LogLocator(subs=each) for each in factors), even):
+        ticks = locator.tick_values(kind.low, kind.high)
+        ticks = ticks[(ticks >= kind.low * 0.999) & (ticks <= kind.high * 1.001)]
         if len(ticks) >= 3:
             break
-    return ticks if len(ticks) > 1 else [kind.low, kind.high]
+    return list(ticks)
 
 
 def _text(choice: Any) -> str:
