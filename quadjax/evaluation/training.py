@@ -1,7 +1,6 @@
 """What ``quadjax train`` writes and prints of a run, and the trainings of several seeds."""
 
 import math
-import shlex
 import subprocess
 import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -12,7 +11,7 @@ import numpy as np
 
 from quadjax.config.loading import load_config, names_of_code
 from quadjax.config.schema import Config
-from quadjax.core.errors import INTERRUPTED, InputError
+from quadjax.core.errors import INTERRUPTED, InputError, quadjax_command
 from quadjax.core.files import write_json
 from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
@@ -106,7 +105,7 @@ def _next_step(run: Run, flights: Sequence[Flight]) -> list[str]:
     near = min((float(x) for flight in flights for x in flight.passages[:, 2]), default=math.inf)
     width = f"half of the drone's width is {half:.2f} m" if half else "vehicle.width is not set"
     lines = [f"smallest clearance of the deterministic flights: {near:.2f} m; {width}"]
-    command = f"next: quadjax evaluate --policy {shlex.quote(str(run.folder))}"
+    command = f"next: {quadjax_command('evaluate', '--policy', run.folder)}"
     if near < half or not (half or radius):
         body = f"{math.ceil(100.0 * half) / 100.0:g}" if half else "RADIUS"
         remedy = f"train with rules.body_radius={body} rules.gate_test=interpolated"

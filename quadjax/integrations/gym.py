@@ -128,7 +128,9 @@ class RaceVectorEnv(VectorEnv):
             InputError: a render mode, or a number of environments that is not at least 1.
         """
         check_integer("num_envs", num_envs, 1, MAX_RUNS)
-        _refuse_render_mode(render_mode)
+        if render_mode is not None:
+            allowed = "None (quadjax view draws flights)"
+            raise InputError(f"render_mode is {render_mode!r}, allowed: {allowed}")
         self.num_envs, self._mode = num_envs, AutoresetMode(autoreset_mode)
         self._params = params
         self.metadata = {"autoreset_mode": self._mode, "render_modes": []}
@@ -214,10 +216,10 @@ class RaceEnv(gymnasium.Env):
         Raises:
             InputError: a render mode.
         """
-        self._one = RaceVectorEnv(environment, params, 1, AutoresetMode.DISABLED)
+        mode = AutoresetMode.DISABLED
+        self._one = RaceVectorEnv(environment, params, 1, mode, render_mode=render_mode)
         self.observation_space = self._one.single_observation_space
         self.action_space = self._one.single_action_space
-        _refuse_render_mode(render_mode)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -240,11 +242,6 @@ class RaceEnv(gymnasium.Env):
 
 def _box(bound: float, shape: tuple[int, ...]) -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-bound, bound, shape, np.float32)
-
-
-def _refuse_render_mode(mode: str | None) -> None:
-    if mode is not None:
-        raise InputError(f"render_mode is {mode!r}, allowed: None (quadjax view draws flights)")
 
 
 def _make(config: Named = DEFAULT_CONFIG, **options: Any) -> RaceEnv:

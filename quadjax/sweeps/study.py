@@ -31,7 +31,7 @@ from quadjax.sweeps.sweep import Sweep
 
 FILE = "study.journal"
 SLOTS = 4099  # workers, at most
-TRIES, WAIT = 8, 0.25  # to open a database that another process may be creating, and s between
+CREATION, WAIT = 2.0, 0.25  # s, of a database by another process, and between two tries to open it
 CREATED = re.compile("(?i)already exists|unique|duplicate|locked")  # by another process just now
 BEYOND = "beyond"  # user attribute of a trial that no budget permits, which another worker used up
 HEARTBEAT, GRACE = 15, 60  # s, in a database: a trial without one for GRACE counts as dead
@@ -123,8 +123,8 @@ def _storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
     """The storage; a database that another process creates at the same time is tried again."""
     if sweep.file.storage == JOURNAL:
         return optuna.storages.JournalStorage(JournalFileBackend(str(directory / FILE)))
-    retries = sweep.file.executor.retries
-    for attempt in range(TRIES):
+    retries, until = sweep.file.executor.retries, time.monotonic() + CREATION
+    while True:
         try:
             return optuna.storages.RDBStorage(
                 sweep.file.storage,
@@ -134,10 +134,10 @@ def _storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
                 heartbeat_stale_trial_callback=lambda study, trial: retry(study, trial, retries),
             )
         except (SQLAlchemyError, optuna.exceptions.StorageInternalError) as error:
-            if attempt == TRIES - 1 or not CREATED.search(f"{error} {error.__cause__}"):
+            created = CREATED.search(f"{error} {error.__cause__}")
+            if not created or time.monotonic() > until:
                 raise
             time.sleep(WAIT)
-    raise AssertionError
 
 
 def drop_partial_line(directory: Path) -> None:

@@ -177,9 +177,10 @@ class VehicleModel:
         signs = np.sign(rows) * (np.abs(rows) > NONE * np.abs(rows).max(axis=1, keepdims=True))
         length = np.maximum(np.linalg.norm(signs, axis=1, keepdims=True), 1.0)
         rank = np.linalg.matrix_rank(signs / length, DEPENDENT)
+        if rank == 4:
+            return ""
         allowed = "all 4, as of neighbors that turn in opposite directions (turning)"
-        axes = "the rotors set only %d of thrust, roll, pitch and yaw, allowed: %s"
-        return axes % (rank, allowed) if rank < 4 else ""
+        return f"the rotors set only {rank} of thrust, roll, pitch and yaw, allowed: {allowed}"
 
     def derivative(self, params: VehicleParams, state: State, command: Command) -> State:
         """The time derivative of a state under a command, as a state."""
