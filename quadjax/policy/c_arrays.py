@@ -60,16 +60,16 @@ def _by_output(path: Path | str, arrays: Arrays) -> dict[str, np.ndarray]:
         for name, bias in pairs(arrays, C_NAMES).items()
         if bias in arrays and arrays[name].ndim == 2
     }
-    turned = {name for name, count in outputs.items() if arrays[name].shape[1] == count}
-    square = {name for name in turned if arrays[name].shape[0] == outputs[name]}
-    if square and len({name in turned for name in outputs if name not in square}) != 1:
+    square = [name for name in outputs if len(set(arrays[name].shape)) == 1]
+    others = {arrays[name].shape[0] == outputs[name] for name in outputs if name not in square}
+    if square and len(others) != 1:
         name = min(square)
         raise InputError(
             f"{path}: {name} is square, and no other layer tells whether its rows are inputs or "
             f"outputs, expected {name}[{arrays[name].size}] with a row for each output"
         )
-    if turned == square:  # the others have a row for each output
-        turned = set()
+    of_inputs = [name for name, count in outputs.items() if arrays[name].shape[1] == count]
+    turned = [] if others == {True} else of_inputs
     return {name: array.T if name in turned else array for name, array in arrays.items()}
 
 
