@@ -15,7 +15,7 @@ from quadjax.cli import options, script
 from quadjax.core.errors import InputError
 from quadjax.core.resources import POLICY_FILE, PRETRAINED
 from quadjax.evaluation.conditions import Condition, Conditions
-from quadjax.evaluation.evaluate import joined
+from quadjax.evaluation.result import joined
 
 RESIDUAL, STEPS = "standin_residual.npz", "run.steps=12000000"
 GROUPS = ("inertia", "thrust", "drag", "moment", "velocity_moment", "yaw", "lag")

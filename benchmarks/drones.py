@@ -18,7 +18,7 @@ import numpy as np
 from quadjax.cli import script
 from quadjax.cli.options import ConfigName, Folder, Overrides, Seed, whole
 from quadjax.config.assembly import race_of
-from quadjax.config.checks import check_drone
+from quadjax.config.drone import check_drone
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Randomization
 from quadjax.core.errors import InputError

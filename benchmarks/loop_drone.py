@@ -21,7 +21,7 @@ from quadjax.cli.logs import logs
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, write_json
 from quadjax.core.resources import PRETRAINED
-from quadjax.evaluation.report import response
+from quadjax.evaluation.responses import response
 from quadjax.plant.config import load_plant_config
 
 FIRST = ("e2e_residual_disturbance", "indi")  # their flights are logged

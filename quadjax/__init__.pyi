@@ -11,10 +11,10 @@ from quadjax.core.sections import Section as Section
 from quadjax.core.vectors import safe_norm as safe_norm
 from quadjax.evaluation.conditions import Condition as Condition
 from quadjax.evaluation.curves import training_figure as training_figure
-from quadjax.evaluation.evaluate import Evaluation as Evaluation
 from quadjax.evaluation.evaluate import evaluate as evaluate
 from quadjax.evaluation.plants import write_logs as write_logs
 from quadjax.evaluation.report import Report as Report
+from quadjax.evaluation.result import Evaluation as Evaluation
 from quadjax.export.convert import export_c as export_c
 from quadjax.fitting.config import LogsConfig as LogsConfig
 from quadjax.fitting.config import load_fit_config as load_fit_config

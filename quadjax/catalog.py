@@ -24,7 +24,8 @@ from quadjax.core.resources import (
     preset_names,
 )
 from quadjax.core.sections import Section, validate
-from quadjax.core.yaml_files import override, parse_overrides, read_tree_with_bases, to_yaml
+from quadjax.core.yaml_files import override, parse_overrides, to_yaml
+from quadjax.core.yaml_layers import read_tree_with_bases
 from quadjax.evaluation.table import Table, number
 from quadjax.fitting.config import FitConfig, load_fit_config
 from quadjax.plant.config import PlantConfig, load_plant_config

@@ -14,9 +14,10 @@ from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import file_record, provenance
 from quadjax.core.yaml_files import to_yaml
 from quadjax.evaluation.conditions import Conditions
-from quadjax.evaluation.evaluate import Evaluation, evaluate
+from quadjax.evaluation.evaluate import evaluate
 from quadjax.evaluation.plants import MOTOR_COMMAND, RECORDED
 from quadjax.evaluation.report import Report
+from quadjax.evaluation.result import Evaluation
 from quadjax.evaluation.rows import Row, common, interval
 from quadjax.evaluation.table import Table, interval_text, lap_table
 from quadjax.plant.config import PlantConfig

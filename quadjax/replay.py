@@ -16,7 +16,8 @@ from quadjax.core.files import write_json, write_text
 from quadjax.core.plotting import INK, SERIES, head, new_figure, save_figure, tidy
 from quadjax.core.provenance import provenance
 from quadjax.evaluation.figures import trajectory_figure
-from quadjax.evaluation.report import FORMATS, Response, error_figure
+from quadjax.evaluation.report import FORMATS
+from quadjax.evaluation.responses import Response, error_figure
 from quadjax.evaluation.table import Table
 from quadjax.export import emulator
 from quadjax.export.network import convert

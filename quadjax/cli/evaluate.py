@@ -19,7 +19,7 @@ from quadjax.core.resources import PRETRAINED, policy_names, preset_names
 if TYPE_CHECKING:
     from quadjax.config.schema import Config as RaceConfig
     from quadjax.evaluation.conditions import Conditions
-    from quadjax.evaluation.evaluate import Evaluation
+    from quadjax.evaluation.result import Evaluation
     from quadjax.policy.file import Policy
     from quadjax.race.laps import Actor
 
@@ -135,7 +135,7 @@ def evaluate(
     entries = [_entry(file, config, overrides) for file in files]
     with loading():
         from quadjax.evaluation.evaluate import evaluate as fly
-        from quadjax.evaluation.evaluate import joined
+        from quadjax.evaluation.result import joined
 
     how: dict[str, Any] = {"laps": laps, "gates": gates, "seconds": seconds, "runs": runs}
     how |= {"start": start, "seed": seed, "plant": plant, "plants": plants, "body_radius": body}

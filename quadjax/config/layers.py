@@ -11,16 +11,8 @@ from pathlib import Path
 
 from quadjax.core.errors import InputError, close_match, prefixed, short
 from quadjax.core.resources import CONFIGS, find_file, preset_names
-from quadjax.core.yaml_files import (
-    Layer,
-    Tree,
-    Whole,
-    flatten,
-    merge_trees,
-    parse_overrides,
-    read_layers,
-    read_tree_with_bases,
-)
+from quadjax.core.yaml_files import Tree, Whole, flatten, merge_trees, parse_overrides
+from quadjax.core.yaml_layers import Layer, read_layers, read_tree_with_bases
 from quadjax.learners.schedules import Schedule
 from quadjax.vehicle.vehicle_file import vehicle_values
 

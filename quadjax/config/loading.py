@@ -15,7 +15,8 @@ from quadjax.core.imports import load_object
 from quadjax.core.resources import find_config
 from quadjax.core.section_keys import fields_at
 from quadjax.core.sections import BadValue, Code, one_line_errors, refuse, validate
-from quadjax.core.yaml_files import Sources, Tree, merge_layers, merge_trees
+from quadjax.core.yaml_files import Tree, merge_trees
+from quadjax.core.yaml_layers import Sources, merge_layers
 from quadjax.learners.ppo import PPO
 from quadjax.learners.section import LearnerSection
 from quadjax.learners.shac import SHAC

@@ -43,7 +43,8 @@ from pydantic_core import PydanticCustomError
 from quadjax.core.errors import InputError, close_match, short
 from quadjax.core.resources import find_config
 from quadjax.core.section_keys import dotted, fields_at, keys_named
-from quadjax.core.yaml_files import Layer, Sources, Tree, merge_layers, parse_overrides, read_layers
+from quadjax.core.yaml_files import Tree, parse_overrides
+from quadjax.core.yaml_layers import Layer, Sources, merge_layers, read_layers
 
 __all__ = ["Field", "PrivateAttr", "Section", "validate", "load_section", "model_validator"]
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from quadjax.config.assembly import vehicle_model
-from quadjax.config.checks import check_drone
+from quadjax.config.drone import check_drone
 from quadjax.config.loading import load_config, with_track
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, prefixed

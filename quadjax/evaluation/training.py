@@ -17,8 +17,9 @@ from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import provenance
 from quadjax.evaluation.curves import check_lengths, learning_figure, training_figure
-from quadjax.evaluation.evaluate import Evaluation, evaluate, joined
+from quadjax.evaluation.evaluate import evaluate
 from quadjax.evaluation.published import first_under, published_total
+from quadjax.evaluation.result import Evaluation, joined
 from quadjax.flights.flight import Flight
 from quadjax.policy.file import Policy
 from quadjax.training.folder import check_same

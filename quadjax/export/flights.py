@@ -19,7 +19,7 @@ from quadjax.export.states import observe
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import command_ranges
-from quadjax.race import rules
+from quadjax.race import openings
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
 from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM
 from quadjax.race.track import gate
@@ -153,7 +153,7 @@ def wander(race: PolicyRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.
     def follow(carry: Carry, after: jax.Array) -> tuple[Carry, jax.Array]:
         before, target = carry
         ends = (Vec3.of(before), Vec3.of(after))
-        passed, _ = rules.crossing(*ends, gate(track, target), jnp.zeros(()), test)
+        passed, _ = openings.crossing(*ends, gate(track, target), jnp.zeros(()), test)
         following = (target + passed.astype(jnp.int32)) % len(centers)
         return (after, following), following
 

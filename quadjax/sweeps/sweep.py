@@ -16,14 +16,8 @@ from quadjax.core.errors import InputError, prefixed, short
 from quadjax.core.resources import find_file
 from quadjax.core.section_keys import value_at
 from quadjax.core.sections import validate
-from quadjax.core.yaml_files import (
-    Layer,
-    flatten,
-    merge_layers,
-    override,
-    parse_overrides,
-    read_yaml,
-)
+from quadjax.core.yaml_files import flatten, override, parse_overrides, read_yaml
+from quadjax.core.yaml_layers import Layer, merge_layers
 from quadjax.plant.config import load_plant_config
 from quadjax.sweeps.schema import (
     ENTRIES,

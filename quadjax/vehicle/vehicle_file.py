@@ -8,7 +8,8 @@ from typing import Any, Self
 from quadjax.core.errors import InputError, short
 from quadjax.core.files import write_text
 from quadjax.core.resources import find_file
-from quadjax.core.yaml_files import Tree, read_tree_with_bases, to_yaml
+from quadjax.core.yaml_files import Tree, to_yaml
+from quadjax.core.yaml_layers import read_tree_with_bases
 from quadjax.vehicle.constants import (
     constant_names,
     declarations,

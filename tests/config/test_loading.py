@@ -10,7 +10,8 @@ from quadjax.config.loading import config_of, load_config
 from quadjax.config.schema import Reward
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS, preset_names
-from quadjax.core.yaml_files import flatten, read_layers
+from quadjax.core.yaml_files import flatten
+from quadjax.core.yaml_layers import read_layers
 from quadjax.fitting.config import load_fit_config
 from quadjax.sweeps.sweep import load_sweep
 from tests import reference as ref

@@ -9,14 +9,8 @@ import yaml
 from quadjax.config.reference import describe
 from quadjax.core.errors import InputError
 from quadjax.core.sections import Field, Section, model_validator, validate
-from quadjax.core.yaml_files import (
-    override,
-    parse_overrides,
-    parse_yaml,
-    read_tree_with_bases,
-    read_yaml,
-    to_yaml,
-)
+from quadjax.core.yaml_files import override, parse_overrides, parse_yaml, read_yaml, to_yaml
+from quadjax.core.yaml_layers import read_tree_with_bases
 
 
 class Span(Section):

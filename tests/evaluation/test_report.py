@@ -11,7 +11,8 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.figures import trajectory_figure
-from quadjax.evaluation.report import Report, error_figure, response
+from quadjax.evaluation.report import Report
+from quadjax.evaluation.responses import error_figure, response
 from quadjax.evaluation.table import flights_table
 from quadjax.fitting.signals import first_order
 from quadjax.flights import save

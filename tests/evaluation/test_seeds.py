@@ -10,7 +10,8 @@ from quadjax.core.plotting import save_figure
 from quadjax.core.resources import CONFIGS
 from quadjax.evaluation.conditions import read_conditions
 from quadjax.evaluation.curves import COLORS, learning_figure, spread, training_figure
-from quadjax.evaluation.evaluate import Evaluation, evaluate
+from quadjax.evaluation.evaluate import evaluate
+from quadjax.evaluation.result import Evaluation
 from quadjax.evaluation.rows import Row
 from quadjax.evaluation.training import (
     COLUMNS,

@@ -10,7 +10,7 @@ from quadjax.config.assembly import race_of
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
-from quadjax.race.rules import inside_opening
+from quadjax.race.openings import inside_opening
 from quadjax.race.track import TrackSection, gate, make_track, to_opening_frame
 
 pytest.importorskip("casadi")

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.race import rewards, rules
+from quadjax.race import openings, rewards
 from quadjax.race.track import gate, make_track, to_opening_frame
 from tests import reference as ref
 from tests.convert import vec3
@@ -14,7 +14,7 @@ from tests.race.support import by_rows, make_config, through, track_of
 def _moved(track, target, before, after, inflation, test="square"):
     g = gate(track, target)
     beyond = rewards.clearance_violation(after, g, jnp.float32(0.1))
-    return *rules.crossing(before, after, g, inflation, test), beyond
+    return *openings.crossing(before, after, g, inflation, test), beyond
 
 
 _move = by_rows(_moved, static_argnames="test")
