@@ -28,9 +28,10 @@ changed copy, validated again.
 
 import contextlib
 import dataclasses
+import operator
 import re
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, Self, TypeVar
@@ -70,20 +71,17 @@ ALLOWED = {  # by the type of pydantic's error
 }
 
 
-def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
-    if ends[0] > ends[1]:
-        raise PydanticCustomError("ordered", "Input should be [lowest, highest]")
-    return ends
+def _pair(holds: Callable[[float, float], bool], allowed: str) -> AfterValidator:
+    def check(ends: tuple[float, float]) -> tuple[float, float]:
+        if not holds(*ends):
+            raise PydanticCustomError("pair", f"Input should be {allowed}")
+        return ends
+
+    return AfterValidator(check)
 
 
-def _rising(ends: tuple[float, float]) -> tuple[float, float]:
-    if ends[0] >= ends[1]:
-        raise PydanticCustomError("rising", "Input should be [lowest, a larger highest]")
-    return ends
-
-
-ORDERED = AfterValidator(_ordered)  # of a pair: ``Annotated[tuple[float, float], ORDERED]``
-RISING = AfterValidator(_rising)  # as ORDERED, of two different numbers
+ORDERED = _pair(operator.le, "[lowest, highest]")  # ``Annotated[tuple[float, float], ORDERED]``
+RISING = _pair(operator.lt, "[lowest, a larger highest]")
 
 
 @dataclasses.dataclass(frozen=True)
