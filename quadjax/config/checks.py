@@ -51,6 +51,8 @@ def check(config: Config) -> None:
         _check_track(race)
         for index in range(len(race.track.gates)):
             _check_gate(race, index)
+    if config.run.score != "reward":
+        check_lap(config.track)
     reward, inflation = last.reward, last.training_limits.gate_inflation
     if inflation > 0 and not (reward.gate_edge > 0 or reward.gate_offset > 0):
         allowed = "at most 0 without reward.gate_edge or reward.gate_offset"
@@ -228,8 +230,6 @@ def _check_gate(config: Config, index: int) -> None:
         refuse("rules.gate_test", "world_box", f"square, because {key} is tilted or round")
     _check_place(config, f"{key}.position", gate.position)
     before = gates[index - 1].position
-    if config.run.score != "reward":
-        check_lap(config.track)
     follows = index > 0 or (config.track.closed and len(gates) > 1)
     if follows and math.dist(before, gate.position) < SMALLEST_LEG:
         refuse(f"{key}.position", gate.position, "another place than the gate before it")
