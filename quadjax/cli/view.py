@@ -93,15 +93,15 @@ def _told_apart(sources: Sequence[str], groups: "list[list[Flight]]") -> "list[F
     Of a source that is given more than once, it is also numbered.
     """
     uses = Counter(name for flights in groups for name in {f.name for f in flights if len(f.time)})
-    given = Counter[str]()
-    told: list[Flight] = []
-    for source, flights in zip(sources, groups, strict=True):
-        given[source] += 1
-        origin = f"{source} {given[source]}" if sources.count(source) > 1 else source
-        for f in flights:
-            alike = uses[f.name] > 1 and len(f.time)
-            told.append(f.replace(name=f"{f.name} ({origin})") if alike else f)
-    return told
+    origins = [
+        f"{source} {sources[:index].count(source) + 1}" if sources.count(source) > 1 else source
+        for index, source in enumerate(sources)
+    ]
+    return [
+        f.replace(name=f"{f.name} ({origin})") if uses[f.name] > 1 and len(f.time) else f
+        for origin, flights in zip(origins, groups, strict=True)
+        for f in flights
+    ]
 
 
 def _write(output: Path, title: str | None, track: str, flights: "list[Flight]") -> int:
