@@ -15,7 +15,6 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from quadjax.fitting.regression import (
-    UNCERTAIN,
     Estimate,
     Parameter,
     Problem,
@@ -38,7 +37,6 @@ LEAST_CHANGE = {  # of commands, by their name in messages
 }
 
 Steady = Callable[[np.ndarray, int, "Followed"], np.ndarray]  # of values, flight index and flight
-Model = Callable[[np.ndarray, float], np.ndarray]  # of values and the part ``BETWEEN``
 
 
 class Followed(NamedTuple):
@@ -46,18 +44,12 @@ class Followed(NamedTuple):
 
     measured: np.ndarray  # (n, k)
     command: np.ndarray  # (n, k), or (2, n, k) at the times ``NODES`` of each sample
-    between: np.ndarray  # (2, n, k) the same as a cubic spline
+    spline: np.ndarray  # (2, n, k) the same as a cubic spline
     rate: float  # Hz
     starts: np.ndarray  # rows at which a contiguous part begins
     time: np.ndarray  # (n,) s since the first
     load: np.ndarray  # (n,) power over that of hover; of propeller speeds only
     used: np.ndarray  # (n,) s of hover since the start of the flight
-
-    def changing(self, part: float) -> "Followed":
-        """The same with commands that change between the rows by a part, from 0 to 1."""
-        if part == 0.0:
-            return self
-        return self._replace(command=partly(self.command, self.between, part))
 
     def simulated(self, tau: float, steady: np.ndarray) -> np.ndarray:
         """Signals (n, k) with the steady values of the commands, of their shape."""
@@ -75,9 +67,9 @@ class Followed(NamedTuple):
         return np.minimum(self.command, (first - sag * self.load - drain * self.used)[:, None])
 
 
-def partly(command: np.ndarray, between: np.ndarray, part: float) -> np.ndarray:
-    """Commands (2, n, k) of which a part changes between the rows, and the rest is held."""
-    return command + part * (between - command)
+def partly(command: np.ndarray, spline: np.ndarray, part: float) -> np.ndarray:
+    """Commands (n, k), or (2, n, k) at ``NODES``, of which a part changes between the rows."""
+    return command + part * (spline - command) if part else command
 
 
 def between_rows(command: np.ndarray) -> np.ndarray:
@@ -110,29 +102,39 @@ def never_follow(commands: Sequence[np.ndarray], what: str) -> str:
     return f"the {what} never change" if change < LEAST_CHANGE[what] else ""
 
 
-def solve_lag(
-    model: Model, rate: float, parameters: Sequence[Parameter], **options: Any
-) -> Estimate:
+def lag_problem(flights: Sequence[Followed], steady: Steady, **options: Any) -> Problem:
+    """A lag, the first of the parameters, behind steady values (n, k); see ``solve_lag``."""
+
+    def model(values: np.ndarray) -> np.ndarray:
+        modeled = []
+        for i, part in enumerate(flights):
+            part = part._replace(command=partly(part.command, part.spline, values[-1]))
+            modeled.append(part.simulated(values[0], steady(values, i, part)))
+        return np.concatenate(modeled)
+
+    measured = np.concatenate([part.measured for part in flights])
+    blocks = half_seconds([part.time for part in flights])
+    return Problem(model=model, measured=measured, blocks=blocks, **options)
+
+
+def solve_lag(problem: Problem, rate: float) -> Estimate:
     """A lag, with commands that are held or, where the logs clearly show it, change between rows.
 
     Args:
-        model: of the values of the parameters, of which a lag is the first, and ``BETWEEN``.
+        problem: of a model of the values of its parameters, a lag the first, and of ``BETWEEN``,
+            which follows them.
         rate: Hz, of the slowest log.
-        parameters: of the model.
-        options: of the ``Problem``.
 
     Returns:
         The estimate; ``BETWEEN`` is among its constants where the commands change between rows.
     """
-    held = solve_held(model, parameters, **options)
-    changing = solve_changing(model, parameters, **options)
+    held, changing = solve_held(problem), solve_changing(problem)
     part, error = changing.constants[BETWEEN], changing.errors[BETWEEN]
     if np.isfinite(error) and part > CLEARLY * error:
         return changing
-    name, period = parameters[0].name, 1.0 / rate
+    name, period = problem.parameters[0].name, 1.0 / rate
     late = 0.5 * period * (min(part + 2.0 * error, 1.0) if np.isfinite(error) else 1.0)
-    allowed = options.get("uncertain", UNCERTAIN) * held.constants[name]
-    if not np.isfinite(held.errors[name]) or late <= allowed:
+    if not np.isfinite(held.errors[name]) or late <= problem.uncertain * held.constants[name]:
         return held
     line = (
         f"{name} ({held.group}) may be up to {late:.2g} s too short: the logs have a row every "
@@ -141,32 +143,17 @@ def solve_lag(
     return replace(held, warnings=(*held.warnings, line))
 
 
-def solve_held(model: Model, parameters: Sequence[Parameter], **options: Any) -> Estimate:
-    """A lag behind commands that are held until the next row; arguments as ``solve_lag``."""
-    return solve(Problem(model=lambda at: model(at, 0.0), parameters=parameters, **options))
+def solve_held(problem: Problem) -> Estimate:
+    """A lag behind commands that are held until the next row; ``problem`` as of ``solve_lag``."""
+    return solve(replace(problem, model=lambda at: problem.modeled(np.append(at, 0.0))))
 
 
-def solve_changing(model: Model, parameters: Sequence[Parameter], **options: Any) -> Estimate:
-    """A lag behind commands that change between the rows; arguments as ``solve_lag``."""
+def solve_changing(problem: Problem) -> Estimate:
+    """A lag behind commands that change between the rows; ``problem`` as of ``solve_lag``."""
     between = Parameter(BETWEEN, 0.5, 0.0, 1.0, physical=True)
-    with_it = [*parameters, between]
-    fit = solve(Problem(model=lambda at: model(at[:-1], at[-1]), parameters=with_it, **options))
+    fit = solve(replace(problem, parameters=[*problem.parameters, between]))
     lines = (line for line in fit.warnings if not line.startswith(f"{BETWEEN} ("))
     return replace(fit, warnings=tuple(lines))
-
-
-def problem_of(flights: Sequence[Followed], steady: Steady) -> dict[str, Any]:
-    """Arguments of ``solve_lag``: a lag, the first of the values, behind steady values (n, k)."""
-
-    def model(values: np.ndarray, between: float) -> np.ndarray:
-        parts = [part.changing(between) for part in flights]
-        return np.concatenate(
-            [part.simulated(values[0], steady(values, i, part)) for i, part in enumerate(parts)]
-        )
-
-    measured = np.concatenate([part.measured for part in flights])
-    blocks = half_seconds([part.time for part in flights])
-    return {"model": model, "measured": measured, "blocks": blocks}
 
 
 def slowest(flights: Sequence[Followed]) -> float:
@@ -181,6 +168,11 @@ def fit_lag(
     reason = never_follow([part.command for part in parts], what)
     if reason:
         return unknown(group, {tau.name: tau.base}, reason)
-    problem = problem_of(parts, lambda values, index, part: part.command)
-    options: dict[str, Any] = {"group": group, "parameters": [tau], "least_explained": lowest}
-    return solve_lag(rate=slowest(parts), **problem, **options)
+    problem = lag_problem(
+        parts,
+        lambda values, index, part: part.command,
+        group=group,
+        parameters=[tau],
+        least_explained=lowest,
+    )
+    return solve_lag(problem, slowest(parts))

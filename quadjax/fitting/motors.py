@@ -30,16 +30,16 @@ from quadjax.fitting.lags import (
     between_rows,
     fit_lag,
     followed,
+    lag_problem,
     never_follow,
     partly,
-    problem_of,
     slowest,
     solve_changing,
     solve_held,
     solve_lag,
 )
 from quadjax.fitting.nominal import AXES, EQUATIONS
-from quadjax.fitting.regression import Estimate, Parameter, half_seconds, unknown
+from quadjax.fitting.regression import Estimate, Parameter, Problem, half_seconds, unknown
 from quadjax.fitting.samples import CUTOFF, filtered_regressors, prepare
 from quadjax.fitting.signals import derivative, first_order, low_pass
 from quadjax.flights.flight import MOTORS, Flight, Signal
@@ -138,13 +138,9 @@ def _fit_limit(
         )
         for name, part in parts.items()
     ]
-    limited = problem_of(
+    problem = lag_problem(
         flights,
         lambda values, index, part: part.limited(values[3 + index], values[1], values[2]),
-    )
-    solver = solve_changing if changing else solve_held
-    return solver(
-        **limited,
         group="motors",
         parameters=[
             tau,
@@ -153,6 +149,7 @@ def _fit_limit(
             *starts,
         ],
     )
+    return solve_changing(problem) if changing else solve_held(problem)
 
 
 def fit_rate_model(
@@ -250,10 +247,13 @@ def fit_motors(
         ],
     }
     if measured:
-        problem = problem_of(measured, lambda at, i, part: steady_speeds(at, part.command))
-        estimate = solve_lag(rate=slowest(measured), **problem, **options)
+        problem = lag_problem(
+            measured, lambda at, i, part: steady_speeds(at[: len(MAP)], part.command), **options
+        )
+        estimate = solve_lag(problem, slowest(measured))
     else:
-        estimate = _fit_unmeasured(flights, base, options)
+        problem = _unmeasured(flights, base, options)
+        estimate = solve_lag(problem, min(log.sample_rate for log, _ in flights))
     if estimate.r_squared >= EXPLAINED:
         return estimate
     line = (
@@ -263,10 +263,10 @@ def fit_motors(
     return replace(estimate, warnings=(*estimate.warnings, line))
 
 
-def _fit_unmeasured(
+def _unmeasured(
     flights: Sequence[tuple[Flight, np.ndarray]], base: RacingConstants, options: dict[str, Any]
-) -> Estimate:
-    """The motors by the forces and moments with the best constants of the rotors for them."""
+) -> Problem:
+    """Forces and moments with the best constants of the rotors for motors of some values."""
     rows = [
         np.flatnonzero(used)[:: max(1, int(log.sample_rate / LEAST_RATE))] for log, used in flights
     ]
@@ -278,11 +278,9 @@ def _fit_unmeasured(
     measured = np.concatenate(signals)
     measured = measured / measured.std(axis=0)
 
-    def model(values: np.ndarray, between: float) -> np.ndarray:
-        parts = [
-            filtered_regressors(with_simulated_speeds(log, values, between), base)
-            for log, _ in flights
-        ]
+    def model(values: np.ndarray) -> np.ndarray:
+        logs = [with_simulated_speeds(log, values[:-1], values[-1]) for log, _ in flights]
+        parts = [filtered_regressors(log, base) for log in logs]
         modeled = np.empty_like(measured)
         for i, axis in enumerate(AXES[2:]):
             pairs = zip(parts, rows, strict=True)
@@ -293,5 +291,4 @@ def _fit_unmeasured(
 
     pairs = zip(flights, rows, strict=True)
     blocks = half_seconds([log.time[index] - log.time[0] for (log, _), index in pairs])
-    rate = min(log.sample_rate for log, _ in flights)
-    return solve_lag(model, rate, measured=measured, blocks=blocks, **options)
+    return Problem(model=model, measured=measured, blocks=blocks, **options)
