@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.fitting.solvers import Minimum, linear, noise_hides, nonlinear
+from quadjax.fitting.solvers import Minimum, linear, nonlinear
 
 BLOCK = 0.5  # s
 SIGNIFICANT = 2.0  # standard errors above zero
@@ -99,7 +99,7 @@ def solve(problem: Problem) -> Estimate:
     reasons = dict.fromkeys(np.flatnonzero(~free).tolist(), "the logs do not determine it")
     zero: dict[int, float] = {}  # standard errors of those that are zero in place of below
     while True:
-        values, errors, jacobian, converged = _solution(problem, base, free)
+        values, errors, minimum = _solution(problem, base, free)
         doubtful = _without_evidence(problem, values, errors)
         if not doubtful:
             break
@@ -118,20 +118,16 @@ def solve(problem: Problem) -> Estimate:
         values = np.array([parameter.base for parameter in problem.parameters])
         errors = np.full(len(base), np.inf)
     condition = np.inf
-    if jacobian is not None and free.all():
-        size = np.sqrt((jacobian**2).mean(axis=0))
-        condition = float(np.linalg.cond(jacobian / np.maximum(size, 1e-300)))
+    if minimum is not None and free.all():
+        size = np.sqrt((minimum.jacobian**2).mean(axis=0))
+        condition = float(np.linalg.cond(minimum.jacobian / np.maximum(size, 1e-300)))
     warnings = _warnings(problem, reasons, values, errors, explained)
-    columns, noise = problem.columns, problem.noise
-    if columns is not None and noise is not None and free.any():
-        hides = noise_hides(columns[:, free], noise[:, free])
-    else:
-        hides = False
-    if hides:
+    if minimum is not None and minimum.hidden:
         warnings.append(
             f"{problem.group}: what tells its constants apart is little but noise of the signals, "
             "which is not compensated: they may be too small"
         )
+    converged = minimum is None or minimum.converged
     if not converged:
         steps = f"the solver stopped after {MAX_STEPS} steps, before it converged"
         warnings.append(f"{problem.group}: {steps}")
@@ -201,12 +197,13 @@ def _determined(problem: Problem) -> np.ndarray:
 
 def _solution(
     problem: Problem, base: np.ndarray, free: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, bool]:
-    """Values and standard errors (k,), Jacobian by the free parameters, and convergence."""
+) -> tuple[np.ndarray, np.ndarray, Minimum | None]:
+    """Values and standard errors (k,), and the minimum, None without free parameters."""
     values, errors = base.copy(), np.full(len(base), np.inf)
     if not free.any():
-        return values, errors, None, True
-    scaled, unit, jacobian, bread, converged = _minimum(problem, base, free)
+        return values, errors, None
+    minimum = _minimum(problem, base, free)
+    scaled, unit, jacobian, bread = minimum[:4]
     values[free] = scaled * unit
     error = (problem.measured - problem.modeled(values)).ravel()
     blocks = np.repeat(problem.blocks, len(error) // len(problem.blocks))
@@ -217,7 +214,7 @@ def _solution(
     freedom = count / max(1, count - len(scaled))
     covariance = freedom * bread @ (scores.T @ scores) @ bread
     errors[free] = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * unit  # of rounding errors
-    return values, errors, jacobian, converged
+    return values, errors, minimum
 
 
 def _minimum(problem: Problem, base: np.ndarray, free: np.ndarray) -> Minimum:

@@ -17,36 +17,21 @@ class Minimum(NamedTuple):
     unit: np.ndarray  # (f,)
     jacobian: np.ndarray  # (n m, f) of what is modeled, by the values in units
     bread: np.ndarray  # (f, f) inverse of the normal equations, in units
-    converged: bool
+    converged: bool = True  # false if the solver stopped at its limit of steps
+    hidden: bool = False  # some combination of columns is little but noise, not subtracted
 
 
 def linear(columns: np.ndarray, noise: np.ndarray, signal: np.ndarray) -> Minimum:
     """Least squares of a signal (n,) by columns (n, f), less the effect of their noise (n, f)."""
-    size, scaled, gram, extra = _normal_equations(columns, noise)
-    bread = np.linalg.inv(gram if _hides(gram, extra) else gram - extra)
-    return Minimum(bread @ (scaled.T @ signal), 1.0 / size, scaled, bread, True)
-
-
-def noise_hides(columns: np.ndarray, noise: np.ndarray) -> bool:
-    """Whether some combination of columns (n, f) is little but noise, which is not subtracted."""
-    return _hides(*_normal_equations(columns, noise)[2:])
-
-
-def _hides(gram: np.ndarray, extra: np.ndarray) -> bool:
-    least = np.linalg.eigvalsh(gram - extra)[0]
-    return bool(least < LEAST_LEFT * np.linalg.eigvalsh(gram)[0])
-
-
-def _normal_equations(
-    columns: np.ndarray, noise: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Sizes (f,), columns (n, f) of size one, their normal equations, and what noise adds there."""
     size = np.sqrt((columns**2).mean(axis=0))
     columns, noise = columns / size, noise / size
     gram, extra = columns.T @ columns, noise.T @ noise
     largest = float((np.diag(extra) / np.diag(gram)).max())
     extra *= min(1.0, LARGEST_CORRECTION / max(largest, 1e-12))
-    return size, columns, gram, extra
+    least, with_noise = (np.linalg.eigvalsh(normal)[0] for normal in (gram - extra, gram))
+    hidden = bool(least < LEAST_LEFT * with_noise)
+    bread = np.linalg.inv(gram if hidden else gram - extra)
+    return Minimum(bread @ (columns.T @ signal), 1.0 / size, columns, bread, hidden=hidden)
 
 
 def nonlinear(
