@@ -60,9 +60,9 @@ def _solve_axis(problem: Problem, common: Set[str]) -> Estimate:
     sign. Unlike those of swapped columns, they explain little that the common values do not.
     """
     free = estimate = solve(problem)
-    fixed: list[str] = []
-    while wrong := [name for name in estimate.negated if name in common]:
-        fixed += wrong
+    fixed: set[str] = set()
+    while wrong := common & set(estimate.negated):
+        fixed |= wrong
         parameters = [p._replace(fixed=p.name in fixed) for p in problem.parameters]
         estimate = solve(dataclasses.replace(problem, parameters=parameters))
     if not fixed or estimate.r_squared < SEPARATED * free.r_squared:
@@ -72,7 +72,7 @@ def _solve_axis(problem: Problem, common: Set[str]) -> Estimate:
         f"{name} ({problem.group}): {free.constants[name]:.2g} +- {free.errors[name]:.1g} is "
         "impossible below 0; the flight does not tell the rotors apart, and the value common to "
         f"them, {estimate.constants[name]:.4g}, is used"
-        for name in fixed
+        for name in sorted(fixed)
     ]
     return dataclasses.replace(estimate, warnings=tuple(lines))
 
@@ -94,11 +94,11 @@ def nominal_error(samples: Samples, constants: Constants) -> np.ndarray:
     return samples.measured - np.stack(modeled, axis=1)
 
 
-def with_common(samples: Samples, base: RacingConstants) -> RacingConstants:
-    """The base vehicle's constants with those of the rotors replaced by ones common to all four.
+def common_values(samples: Samples) -> dict[str, float]:
+    """Constants of the rotors of a racing quadcopter, by name, of values common to all four.
 
     They are the values of rotors that the logs do not tell apart. Common values that are not above
-    zero are not used.
+    zero are left out.
     """
     common: dict[str, float] = {}
     for axis, names in EQUATIONS[RacingConstants].constants.items():
@@ -113,7 +113,7 @@ def with_common(samples: Samples, base: RacingConstants) -> RacingConstants:
         values = np.linalg.lstsq(columns / size, target - target.mean(), rcond=1e-6)[0] / size
         for stem, value in zip(stems, values, strict=True):
             common |= {f"{stem}{rotor}": float(value) for rotor in ROTORS if value > 0.0}
-    return replaced(base, common)
+    return common
 
 
 class Prediction(struct.PyTreeNode, Rows):
