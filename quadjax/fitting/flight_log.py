@@ -21,7 +21,6 @@ from quadjax.fitting.formats import QUANTITIES, Quantities, log_format
 from quadjax.fitting.log_table import LogTable, read_csv, read_head
 from quadjax.fitting.magnitudes import check_attitude, check_columns, check_time
 from quadjax.fitting.quantities import (
-    armed,
     called,
     check_motors,
     evenly,
@@ -181,7 +180,6 @@ def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) ->
 def _flight(table: LogTable, config: LogsConfig) -> Flight:
     form, path = log_format(config.format), table.path
     names = wanted_columns(path, config, form, list(table.columns))
-    table = armed(table, names)
     left_out = [*table.left_out, *check_motors(table, names, config)]
     quantities = quantities_of(table, names, config, form)
     check_time(table, names, quantities, config)

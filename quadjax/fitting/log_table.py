@@ -7,7 +7,7 @@ import csv
 import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,6 @@ from quadjax.core.files import check_file
 
 MAX_BYTES = 2**30  # of one log: hours of flight
 MAX_SETTINGS = 2000  # rows of settings before the header
-ANOTHER = "begins another log, expected one log in a file: split it there"
 SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", " ": "spaces"}
 FEWEST = 9  # separators in a row of names: of time, rotor speeds or commands, rates and forces
 
@@ -34,14 +33,6 @@ class LogTable:
     cut_row: int | None = None  # the last row of the file, left out: no line break ends it
     left_out: tuple[str, ...] = ()  # what else the file has that a reader leaves out
     causes: Mapping[int, str] = field(default_factory=dict)  # of gaps, by the sample after them
-
-    def rows(self, rows: slice) -> "LogTable":
-        """Some consecutive rows."""
-        start = rows.start or 0
-        columns = {name: values[rows] for name, values in self.columns.items()}
-        first = None if self.first_row is None else self.first_row + start
-        causes = {index - start: cause for index, cause in self.causes.items()}
-        return replace(self, columns=columns, first_row=first, causes=causes)
 
     def error(self, index: int, columns: str, problem: str) -> InputError:
         """A problem of some columns at a sample, with its place in the file."""
@@ -152,8 +143,9 @@ def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> 
             raise
         except ValueError as error:
             cells = _cells(path, line)
-            another = cells == header or set(cells[:1]) & header_settings.keys()
-            problem = f" {ANOTHER}" if another else _fault(cells, places, error)
+            problem = _fault(cells, places, error)
+            if cells == header or set(cells[:1]) & header_settings.keys():
+                problem = " begins another log, expected one log in a file: split it there"
             raise InputError(f"{path}: row {row}{problem}") from None
     columns = table.reshape(-1, len(names)).T
     by_name = dict(zip(names, columns, strict=True))
@@ -183,7 +175,7 @@ def _fault(cells: Sequence[str], places: Mapping[str, int], error: ValueError) -
 def unwrapped(stamps: np.ndarray) -> np.ndarray:
     """Time stamps (n,) in the log's unit without the wraps of a counter of 32 bits."""
     steps = np.diff(stamps, prepend=stamps[:1])
-    wraps = (steps < 0.0) & (steps + 2.0**32 > 0.0) & (steps < -(2.0**31))
+    wraps = (steps < -(2.0**31)) & (steps > -(2.0**32))
     return stamps + 2.0**32 * np.cumsum(wraps)
 
 

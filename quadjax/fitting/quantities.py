@@ -119,19 +119,6 @@ def quantities_of(
     return result
 
 
-def armed(table: LogTable, names: Mapping[str, list[str]]) -> LogTable:
-    """A log without the rows at its ends at which a motor command is NaN: PX4 is disarmed there."""
-    commands = names.get("motor_command", [])
-    present = [name for name in commands if name in table.columns]
-    columns = [np.asarray(table.columns[name], np.float64) for name in present]
-    if len(columns) < len(commands) or len({column.shape for column in columns}) != 1:
-        return table
-    rows = np.flatnonzero(np.isfinite(np.stack(columns)).all(axis=0))
-    if not len(rows):
-        return table
-    return table.rows(slice(int(rows[0]), int(rows[-1]) + 1))
-
-
 def further_motors(names: Mapping[str, list[str]], present: Sequence[str]) -> list[str]:
     """Columns of motors beyond the four of a log, ``motor[4]`` beside ``motor[0]`` and so on."""
     found = []

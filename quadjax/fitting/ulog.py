@@ -15,6 +15,7 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -50,11 +51,21 @@ SOURCES = {  # topic and fields by quantity; fields of another topic in place of
     "motor_command": (HELD, COLUMNS["motor_command"]),
 }
 ESC = "esc_status"
+HEADER = 16  # bytes
 MOST_MOTORS = 12  # of a topic
 STALE = 3  # samples at the start of a topic that may be of long before
 OTHER = ("vehicle_acceleration", COLUMNS["gyro"])  # of the acceleration
 Fields = dict[str, np.ndarray]  # of a topic, each (n,)
-Series = tuple[np.ndarray, np.ndarray]  # times (n,), us, and values (n, k)
+
+
+class Series(NamedTuple):
+    """The samples of some fields of a topic."""
+
+    topic: str
+    names: list[str]  # of the columns, k of them
+    time: np.ndarray  # (n,) us
+    values: np.ndarray  # (n, k)
+    longest: float  # s, step between samples that is no gap
 
 
 def read_ulog(path: Path) -> LogTable:
@@ -65,6 +76,9 @@ def read_ulog(path: Path) -> LogTable:
     """
     check_file(path)
     check_kind(path, ULOG, ULOG)
+    content = path.read_bytes()
+    if content.count(ULOG_MAGIC) > 1:
+        raise InputError(f"{path}: two ULog files in one, expected one log in a file")
     topics, left_out = _topics(path)
     if CLOCK not in topics:
         raise InputError(f"{path}: no topic {CLOCK} (SDLOG_PROFILE=17 logs it)")
@@ -76,81 +90,81 @@ def read_ulog(path: Path) -> LogTable:
     sources = dict(SOURCES)
     if SOURCES["acceleration"][0] not in topics:
         sources["acceleration"] = OTHER
-    if ESC in topics and HELD in topics and (usual := _usual(topics[ESC])) > MAX_GAP:
+    if ESC in topics and HELD in topics and (usual := _usual(_times(topics[ESC]))) > MAX_GAP:
         left_out.append(f"topic {ESC} (a sample every {usual:.2g} s, allowed: {MAX_GAP:g} s)")
         del topics[ESC]
     series = {
-        quantity: _series(path, topics[topic], topic, _fields(topics[topic], quantity, fields))
+        quantity: _series(path, topics[topic], topic, fields, COLUMNS[quantity])
         for quantity, (topic, fields) in sources.items()
         if topic in topics
     }
     clock = _common_clock(path, series)
-    columns = {"timestamp": clock - clock[0]}
-    at_clock = _at_clock(clock, series)
-    for quantity, (topic, fields) in sources.items():
-        if quantity in at_clock:
-            known = dict(zip(fields, COLUMNS[quantity], strict=True))
-            names = _fields(topics[topic], quantity, fields)
-            values = zip(names, at_clock[quantity].T, strict=True)
-            columns |= {known.get(name, name): column for name, column in values}
-    return _without_gaps(path, columns, clock, series, sources, left_out)
+    if _is_cut(content):
+        seconds = 1e-6 * (clock[-1] - clock[0])
+        left_out.append(f"the end of the file, whose last message is cut, after {seconds:.3g} s")
+    return _table(path, clock, series, left_out)
 
 
-def _common_clock(path: Path, series: dict[str, Series]) -> np.ndarray:
+def _is_cut(content: bytes) -> bool:
+    """Whether the last message of a ULog file is not whole."""
+    at = HEADER
+    while at + 3 <= len(content):  # the size of a message, two bytes, and its kind precede it
+        at += 3 + int.from_bytes(content[at : at + 2], "little")
+    return at != len(content)
+
+
+def _common_clock(path: Path, series: Mapping[str, Series]) -> np.ndarray:
     """Times (n,), us, of the body rates at which there are all other series."""
-    first = max(time[0] for time, _ in series.values())
-    last = min(time[-1] for time, _ in series.values())
-    clock = series["gyro"][0]
+    first = max(part.time[0] for part in series.values())
+    last = min(part.time[-1] for part in series.values())
+    clock = series["gyro"].time
     clock = clock[(clock >= first) & (clock <= last)]
     if not len(clock):
         raise InputError(f"{path}: the topics have no time in common")
     return clock
 
 
-def _at_clock(clock: np.ndarray, series: dict[str, Series]) -> dict[str, np.ndarray]:
-    """All quantities (n, k) at times (n,), us."""
-    at_clock = {}
-    for quantity, (time, values) in series.items():
-        if quantity == "motor_command":
-            at_clock[quantity] = values[np.searchsorted(time, clock, side="right") - 1]
-        else:
-            values = continuous(values) if quantity == "quaternion" else values
-            at_clock[quantity] = interpolated(clock, time, values)
-    return at_clock | _integrated(clock, at_clock, series)
-
-
-def _without_gaps(
-    path: Path,
-    columns: dict[str, np.ndarray],
-    clock: np.ndarray,
-    series: dict[str, Series],
-    sources: Mapping[str, tuple[str, list[str]]],
-    left_out: Sequence[str],
+def _table(
+    path: Path, clock: np.ndarray, series: Mapping[str, Series], left_out: Sequence[str]
 ) -> LogTable:
-    """The log without times at which a topic has a gap, and the topics of its gaps."""
+    """All columns at times (n,), us, at which no topic has a gap, and the topics of the gaps."""
+    columns, at_clock = {"timestamp": clock - clock[0]}, _at_clock(clock, series)
+    for quantity, part in series.items():
+        columns |= dict(zip(part.names, at_clock[quantity].T, strict=True))
+    gaps = [
+        (part.time[i], part.time[i + 1], part.topic)
+        for part in series.values()
+        for i in np.flatnonzero(1e-6 * np.diff(part.time) > part.longest)
+    ]
     kept = np.ones(len(clock), bool)
-    ends: dict[float, str] = {}  # topics by the first time after a gap, us
-    for quantity, (time, _) in series.items():
-        topic = sources[quantity][0]
-        steps = 1e-6 * np.diff(time)
-        for gap in np.flatnonzero(steps > _longest(topic, float(np.median(steps)))):
-            kept &= (clock <= time[gap]) | (clock >= time[gap + 1])
-            ends.setdefault(float(time[gap + 1]), topic)
-    causes: dict[int, str] = {}
-    for end, topic in ends.items():
-        causes.setdefault(int(kept[clock < end].sum()), f" in topic {topic}")
+    for start, end, _ in gaps:
+        kept &= (clock <= start) | (clock >= end)
+    causes = {int(np.searchsorted(clock[kept], end)): f" in topic {t}" for _, end, t in gaps}
     columns = {name: values[kept] for name, values in columns.items()}
     return LogTable(str(path), columns, left_out=tuple(left_out), causes=causes)
 
 
+def _at_clock(clock: np.ndarray, series: Mapping[str, Series]) -> dict[str, np.ndarray]:
+    """All quantities (n, k) at times (n,), us."""
+    at_clock = {}
+    for quantity, part in series.items():
+        if part.topic == HELD:
+            last = np.searchsorted(part.time, clock, side="right") - 1
+            at_clock[quantity] = part.values[last]
+        else:
+            values = continuous(part.values) if quantity == "quaternion" else part.values
+            at_clock[quantity] = interpolated(clock, part.time, values)
+    return at_clock | _integrated(clock, at_clock, series)
+
+
 def _integrated(
-    clock: np.ndarray, at_clock: dict[str, np.ndarray], series: dict[str, Series]
+    clock: np.ndarray, at_clock: Mapping[str, np.ndarray], series: Mapping[str, Series]
 ) -> dict[str, np.ndarray]:
     """Velocity and position at the clock, us, by integrals between their samples."""
     if not {"quaternion", "acceleration", "world_velocity"} <= set(series):
         return {}
     quaternion, force = at_clock["quaternion"], at_clock["acceleration"]
-    slow = series["world_velocity"][0]
+    slow = series["world_velocity"].time
     inside = (slow >= clock[0]) & (slow <= clock[-1])
     usable = np.isfinite(quaternion).all() and quaternion.any(axis=1).all() and inside.any()
     if not usable:
@@ -158,7 +172,7 @@ def _integrated(
     slope = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).apply(force) + [0.0, 0.0, GRAVITY]
     result = {}
     for quantity in ("world_velocity", "position"):
-        time, values = series[quantity]
+        time, values = series[quantity].time, series[quantity].values
         whole = cumulative_trapezoid(slope, 1e-6 * clock, axis=0, initial=0.0)
         offset = values[inside] - interpolated(time[inside], clock, whole)
         slope = result[quantity] = whole + interpolated(clock, time[inside], offset)
@@ -178,8 +192,6 @@ def _topics(path: Path) -> tuple[dict[str, Fields], list[str]]:
     except Exception as error:  # pyulog raises errors of many kinds for a damaged file
         reason = f"{error}".splitlines()[:1] or [type(error).__name__]
         raise InputError(f"{path}: not readable as a ULog file ({reason[0]:.200})") from None
-    if path.read_bytes().count(ULOG_MAGIC) > 1:
-        raise InputError(f"{path}: two ULog files in one, expected one log in a file")
     if log.file_corruption:
         raise InputError(f"{path}: a ULog file with damaged messages, expected a whole one")
     topics: dict[str, Fields] = {}
@@ -191,44 +203,41 @@ def _topics(path: Path) -> tuple[dict[str, Fields], list[str]]:
     return topics, others
 
 
-def _fields(data: Fields, quantity: str, fields: list[str]) -> list[str]:
-    """The fields of a quantity, and those of further motors that are used."""
-    if quantity not in ("rpm", "motor_command"):
-        return fields
-    first, second = re.split(r"\d+", fields[0], maxsplit=1)
-    further = [f"{first}{index}{second}" for index in range(len(fields), MOST_MOTORS)]
-    return [*fields, *(name for name in further if name in data and np.any(data[name] > 0))]
-
-
-def _usual(data: Fields) -> float:
-    """Usual time between the samples of a topic, s."""
-    time = _times(data)
-    return float(np.median(np.diff(time))) * 1e-6 if len(time) > 1 else 0.0
-
-
 def _times(data: Fields) -> np.ndarray:
+    """Times (n,) of the samples of a topic, us."""
     return np.asarray(data.get("timestamp_sample", data["timestamp"]), np.float64)
 
 
-def _longest(topic: str, usual: float) -> float:
-    """The longest step between samples of a topic that is no gap, s, by the usual one."""
-    step = MAX_STEP if topic == SLOW else MAX_GAP
-    return step if usual > step else max(step, 2.5 * usual)
+def _usual(time: np.ndarray) -> float:
+    """Usual step between times (n,), us, in s."""
+    return 1e-6 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
-def _series(path: Path, data: Fields, topic: str, fields: list[str]) -> Series:
-    """The samples of some fields of a topic, without old ones at the start."""
+def _series(path: Path, data: Fields, topic: str, fields: list[str], names: list[str]) -> Series:
+    """The samples of some fields of a topic, without old ones at the start.
+
+    Of motors there may be more than four: further ones that are used follow. Their commands are NaN
+    while PX4 is disarmed, of which those at both ends are left out.
+    """
+    if topic in (HELD, ESC):
+        first, second = re.split(r"\d+", fields[0], maxsplit=1)
+        others = [f"{first}{index}{second}" for index in range(len(fields), MOST_MOTORS)]
+        used = [name for name in others if name in data and np.any(data[name] > 0)]
+        fields, names = [*fields, *used], [*names, *used]
     for name in fields:
         if name not in data:
             raise InputError(f"{path}: topic {topic} has no field {name!r}")
-    time, usual = _times(data), _usual(data)
-    longest, start = _longest(topic, usual), 0
-    while start < min(STALE, len(time) - 2) and time[start + 1] - time[start] > 1e6 * longest:
-        start += 1
-    slow = usual > longest
-    if fault := time_fault(1e-6 * time[start:], longest if slow else np.inf):
+    values = np.stack([np.asarray(data[name], np.float64) for name in fields], axis=1)
+    time, rows = _times(data), np.arange(len(values))
+    if topic == HELD and (armed := np.flatnonzero(np.isfinite(values).all(axis=1))).size:
+        rows = rows[armed[0] : armed[-1] + 1]
+    usual, step = _usual(time), MAX_STEP if topic == SLOW else MAX_GAP
+    slow, longest = usual > step, max(step, 2.5 * usual)
+    for _ in range(STALE):
+        if len(rows) > 2 and np.diff(time[rows[:2]]) > 1e6 * longest:
+            rows = rows[1:]
+    if fault := time_fault(1e-6 * time[rows], step if slow else np.inf):
         row, problem = fault
         hint = " (SDLOG_PROFILE=17)" * slow
-        raise InputError(f"{path}: topic {topic}, sample {start + row}: {problem}{hint}")
-    values = np.stack([np.asarray(data[name], np.float64) for name in fields], axis=1)
-    return time[start:], values[start:]
+        raise InputError(f"{path}: topic {topic}, sample {rows[row]}: {problem}{hint}")
+    return Series(topic, names, time[rows], values[rows], longest)

@@ -376,6 +376,18 @@ def test_other_instances_of_a_topic_are_read_or_named(ulog):
     assert both.source["left_out"] == ["topic vehicle_angular_velocity, instance 2"]
 
 
+def test_a_ulog_file_that_is_cut_says_how_much_was_read(ulog, short, tmp_path):
+    path, config = tmp_path / "flight.ulg", LogsConfig(format="ulog")
+    assert ulog({}).source["left_out"] == []
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    log = read_log(path, config)
+    expected = f"the end of the file, whose last message is cut, after {log.time[-1]:.3g} s"
+    assert log.source["left_out"] == [expected] and 2.0 < log.time[-1] < 2.6
+    result = fit(FitConfig(vehicle="5inch.yaml", logs={"files": [str(path)], "format": "ulog"}))
+    assert f"flight: not read: {expected}" in result.warnings
+
+
 @pytest.mark.parametrize("topic", ["actuator_motors", "esc_status"])
 def test_six_motors_of_px4_are_refused(topic, ulog, short):
     rate, fields = racing_logs.ulog_topics(short)[topic]
