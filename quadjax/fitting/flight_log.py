@@ -5,8 +5,8 @@ FRD and world NED and to evenly spaced times, and they are compared with one ano
 """
 
 import contextlib
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +26,9 @@ from quadjax.fitting.quantities import (
     evenly,
     further_motors,
     quantities_of,
+    second_sensors,
     to_standard_frames,
-    unit_of,
+    units_of,
     wanted_columns,
 )
 from quadjax.flights.flight import AXES, MOTORS, RATES, Flight, Signal, motion_signals
@@ -152,21 +153,20 @@ def read_log(path: Path | str, config: LogsConfig) -> Flight:
     """
     form = log_format(config.format)
     if form.read is not None:
-        columns = called(form.read, path, Path(path))
-        if isinstance(columns, LogTable):
-            return _flight(columns, config)
-        if not isinstance(columns, Mapping):
-            raise InputError(f"{path}: the reader gives {columns!r:.40}, expected columns by name")
-        return _flight(LogTable(str(path), columns), config)
+        table = called(form.read, path, Path(path))
+        if isinstance(table, Mapping):
+            table = LogTable(str(path), table)
+        if not isinstance(table, LogTable):
+            raise InputError(f"{path}: the reader gives {table!r:.40}, expected columns by name")
+        return _flight(table, config)
     header = read_head(path, form.settings)[0]
     wanted = wanted_columns(path, config, form, header)
     names = [name for group in wanted.values() for name in group]
     table = read_csv(path, names, form.settings)
-    further = further_motors(wanted, header)
-    with contextlib.suppress(InputError):  # columns without numbers are of no motor
-        others = read_csv(path, further, form.settings).columns if further else {}
-        table = dataclasses.replace(table, columns={**table.columns, **others})
-    return _flight(table, config)
+    if further := further_motors(wanted, header):
+        with contextlib.suppress(InputError):  # columns without numbers are of no motor
+            table = read_csv(path, [*names, *further], form.settings)
+    return _flight(replace(table, left_out=tuple(second_sensors(wanted, header))), config)
 
 
 def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) -> Flight:
@@ -181,12 +181,12 @@ def _flight(table: LogTable, config: LogsConfig) -> Flight:
     form, path = log_format(config.format), table.path
     names = wanted_columns(path, config, form, list(table.columns))
     left_out = [*table.left_out, *check_motors(table, names, config)]
-    quantities = quantities_of(table, names, config, form)
+    units = units_of(table, names, config, form)
+    quantities = quantities_of(table, names, units, config, form)
     check_time(table, names, quantities, config)
     check_attitude(table, names, quantities)
     if form.adjust is not None:
         quantities = called(form.adjust, path, quantities, table.settings)
-    units = {name: unit_of(name, group, table, config, form) for name, group in names.items()}
     check_columns(table, names, quantities, units, config)
     frames = (config.body_frame or form.body_frame, config.world_frame or form.world_frame)
     standard, frames = to_standard_frames(quantities, *frames)
@@ -198,9 +198,8 @@ def _flight(table: LogTable, config: LogsConfig) -> Flight:
     rate = (len(flying) - 1) / float(even["time"][-1] - even["time"][0])
     unchecked = check_consistency(path, names, even, rate, flying, frames, config)
     even["flying"] = flying
-    facts = {"unchecked": unchecked, "cut_row": table.cut_row, "gaps": gaps.tolist()}
-    facts["left_out"] = left_out
-    return log_flight(path, even, **facts)
+    facts = {"cut_row": table.cut_row, "gaps": gaps.tolist(), "left_out": left_out}
+    return log_flight(path, even, unchecked=unchecked, **facts)
 
 
 def highest_speed(logs: Sequence[Flight]) -> float:

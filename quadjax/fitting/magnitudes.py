@@ -38,12 +38,11 @@ def check_time(log: LogTable, names: Names, quantities: Quantities, config: Logs
         problem = f"the file ends after {len(time)} rows of data, expected at least {LEAST_ROWS}"
         raise log.error(last, column, problem)
     usual, seconds = float(np.median(np.diff(time))), time[-1] - time[0]
-    fault = time_fault(time, np.inf)
-    if fault is None and not 2e-4 < usual < 0.051:
+    if fault := time_fault(time, np.inf):
+        raise log.error(fault[0], column, fault[1])
+    if not 2e-4 < usual < 0.051:
         problem = f"samples are {usual:.3g} s apart, expected 0.0002 to 0.05 s; is "
         raise log.error(1, column, problem + "logs.units.time right?")
-    if fault is not None:
-        raise log.error(fault[0], column, fault[1])
     if fault := time_fault(time, max(config.max_gap, 2.5 * usual)):
         cause = log.causes.get(fault[0], "")
         raise log.error(fault[0], column, f"{fault[1]}{cause} (logs.max_gap)")
@@ -79,7 +78,7 @@ def check_columns(
     """
     airborne = flying(quantities)
     for quantity, values in quantities.items():
-        row, unit = QUANTITIES[quantity], units.get(quantity, ("", 1.0))
+        row, unit = QUANTITIES[quantity], units[quantity]
         for i, (name, column) in enumerate(
             zip(names[quantity], np.atleast_2d(values.T), strict=True)
         ):

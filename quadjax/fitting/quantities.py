@@ -86,9 +86,13 @@ def wanted_columns(
 
 
 def quantities_of(
-    table: LogTable, names: Mapping[str, list[str]], config: LogsConfig, form: LogFormat
+    table: LogTable,
+    names: Mapping[str, list[str]],
+    units: Mapping[str, tuple[str, float]],
+    config: LogsConfig,
+    form: LogFormat,
 ) -> Quantities:
-    """Quantities (n,) or (n, k) in SI, rpm, and motor commands from 0 to 1.
+    """Quantities (n,) or (n, k) in SI, rpm, and motor commands from 0 to 1; see ``units_of``.
 
     Raises:
         InputError: a missing column, columns of different lengths, or a number that is not finite.
@@ -111,7 +115,7 @@ def quantities_of(
                 raise table.error(row, repr(name), problem)
         if quantity == "time":
             columns = [unwrapped(columns[0])]
-        values = np.stack(columns, axis=1) * unit_of(quantity, group, table, config, form)[1]
+        values = np.stack(columns, axis=1) * units[quantity][1]
         if quantity == "motor_command":
             low, high = config.motor_range or _motor_range(path, form, table.settings)
             values = (values - low) / max(high - low, 1e-9)
@@ -123,10 +127,21 @@ def further_motors(names: Mapping[str, list[str]], present: Sequence[str]) -> li
     """Columns of motors beyond the four of a log, ``motor[4]`` beside ``motor[0]`` and so on."""
     found = []
     for quantity in ("rpm", "rpm_command", "motor_command"):
-        group = names.get(quantity, [])
-        forms = {NUMBER.sub("#", name) for name in group}
+        forms = {NUMBER.sub("#", name) for name in names.get(quantity, [])}
         if len(forms) == 1 and "#" in (form := forms.pop()):
             found += [name for name in present if NUMBER.sub("#", name) == form]
+    known = {name for group in names.values() for name in group}
+    return [name for name in found if name not in known]
+
+
+def second_sensors(names: Mapping[str, list[str]], present: Sequence[str]) -> list[str]:
+    """Columns like those of a log but for a number that is no index: ``gyro2_x`` and ``gyro_x``."""
+    found = []
+    for group in names.values():
+        indexed = len(group) > 1 and len({NUMBER.sub("#", name) for name in group}) == 1
+        number = r"_?\d+(?=\D.*\d)" if indexed else r"_?\d+"
+        plain = {re.sub(number, "", name) for name in group}
+        found += [name for name in present if re.sub(number, "", name) in plain]
     known = {name for group in names.values() for name in group}
     return [name for name in found if name not in known]
 
@@ -137,14 +152,11 @@ def check_motors(table: LogTable, names: Mapping[str, list[str]], config: LogsCo
     Raises:
         InputError: a drone of more than four motors.
     """
-    beyond = []
-    for name in further_motors(names, list(table.columns)):
-        values = np.asarray(table.columns[name], np.float64)
-        values = values[np.isfinite(values)]
-        beyond += [name] * bool(len(values) and np.ptp(values) > 0.0)
-    chosen = {name for group in config.columns.values() for name in group}
-    others = further_motors({q: g for q, g in names.items() if not set(g) <= chosen}, beyond)
-    if others:
+    further = further_motors(names, list(table.columns))
+    values = {name: np.asarray(table.columns[name], np.float64) for name in further}
+    beyond = [name for name, x in values.items() if len(np.unique(x[np.isfinite(x)])) > 1]
+    not_chosen = {name: group for name, group in names.items() if name not in config.columns}
+    if others := further_motors(not_chosen, beyond):
         raise InputError(
             f"{table.path}: columns {', '.join(map(repr, others))} are of more than four motors, "
             "allowed: quadcopters (logs.columns may list the four motors of one)"
@@ -152,34 +164,35 @@ def check_motors(table: LogTable, names: Mapping[str, list[str]], config: LogsCo
     return beyond
 
 
-def unit_of(
-    quantity: str, names: Sequence[str], table: LogTable, config: LogsConfig, form: LogFormat
-) -> tuple[str, float]:
-    """The unit of a quantity's columns, and its factor to SI or rpm; "" for a number or none.
+def units_of(
+    table: LogTable, names: Mapping[str, list[str]], config: LogsConfig, form: LogFormat
+) -> dict[str, tuple[str, float]]:
+    """The unit of each quantity, and its factor to SI or rpm; "" for a number or none.
 
     Raises:
         InputError: electrical speeds without the pole pairs of the motors, or pole pairs without
             them.
     """
-    kind = QUANTITIES[quantity].unit
-    if not kind:
-        return "", 1.0
-    first = next(iter(UNITS[kind]))
-    unit = getattr(config.units, kind) or form.column_units.get(names[0])
-    unit = unit or form.units.get(kind, first)
-    if not isinstance(unit, str):
-        unit, factor = "", float(unit)
-    else:
-        factor = UNITS[kind][unit]
-    if unit.startswith("erpm"):
-        return unit, factor / _pole_pairs(names, table, config, form)
-    if kind == "rpm" and config.pole_pairs is not None:
+    units: dict[str, tuple[str, float]] = {}
+    for quantity, group in names.items():
+        kind = QUANTITIES[quantity].unit
+        unit = getattr(config.units, kind) if kind else 1.0
+        unit = unit or form.column_units.get(group[0]) or form.units.get(kind)
+        unit = unit or QUANTITIES[quantity].si
+        units[quantity] = (unit, UNITS[kind][unit]) if isinstance(unit, str) else ("", float(unit))
+    electrical = [quantity for quantity, (unit, _) in units.items() if unit.startswith("erpm")]
+    for quantity in electrical:
+        unit, factor = units[quantity]
+        units[quantity] = unit, factor / _pole_pairs(names[quantity], table, config, form)
+    if config.pole_pairs is not None and not electrical:
+        given, speeds = "the log has no rotor speeds", units.get("rpm", units.get("rpm_command"))
+        if speeds:
+            given = f"speeds are in {speeds[0] or 'rpm by a factor'} (logs.units.rpm)"
         raise InputError(
-            f"{table.path}: logs.pole_pairs is {config.pole_pairs}, which has no effect: columns "
-            f"{', '.join(map(repr, names))} are in {unit or 'rpm by a factor'} (logs.units.rpm), "
-            "not electrical speeds (erpm)"
+            f"{table.path}: logs.pole_pairs is {config.pole_pairs}, which has no effect: {given}, "
+            "expected electrical speeds (erpm)"
         )
-    return unit, factor
+    return units
 
 
 def _pole_pairs(

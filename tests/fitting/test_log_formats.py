@@ -145,13 +145,6 @@ def test_bad_blackbox_columns_are_one_line(case, short, tmp_path):
     refused(tmp_path / "bad.csv", "blackbox", word)
 
 
-def test_two_blackbox_logs_in_one_file_are_one_line(short, tmp_path):
-    path = tmp_path / "flights.csv"
-    racing_logs.write_blackbox(path, racing_logs.blackbox_columns(short))
-    path.write_text(2 * path.read_text())
-    refused(path, "blackbox", "row 2505 begins another log")
-
-
 def test_a_log_that_is_too_slow_to_fit_names_its_file_and_rate(short, tmp_path):
     """It can be read: 25 Hz are no fault of a replay."""
     path = tmp_path / "slow.csv"
@@ -297,10 +290,20 @@ def test_electrical_speeds_of_betaflight_need_the_poles_of_the_motors(short, tmp
     np.testing.assert_allclose(log["actuators"], speeds, atol=15.0)
 
 
-def test_pole_pairs_of_other_speeds_are_refused(short, tmp_path):
-    path = _write("blackbox", short, tmp_path, False)
-    with pytest.raises(InputError, match="logs.pole_pairs is 7, which has no effect: .* in rad/s"):
-        read_log(path, LogsConfig(format="blackbox", pole_pairs=7))
+@pytest.mark.parametrize(("form", "why"), [("blackbox", "in rad/s"), ("tii", "no rotor speeds")])
+def test_pole_pairs_of_other_speeds_or_of_none_are_refused(form, why, short, tmp_path):
+    path = _write(form, short, tmp_path, False)
+    with pytest.raises(InputError, match=f"logs.pole_pairs is 7, which has no effect: .* {why}"):
+        read_log(path, LogsConfig(format=form, pole_pairs=7))
+
+
+@pytest.mark.parametrize("second", ["gyro2_x", "gyro_x_1", "drone_rot2[0]"])
+def test_columns_of_a_second_sensor_are_named(second, short, tmp_path):
+    """An element with another index, or another name, is none."""
+    columns, path = racing_logs.tii_columns(short), tmp_path / "flight.csv"
+    more = dict.fromkeys((second, "drone_rot[9]", "gyro_temperature"), columns["elapsed_time"])
+    racing_logs.write_tii(path, columns | more)
+    assert read_log(path, LogsConfig(format="tii")).source["left_out"] == [second]
 
 
 @pytest.mark.parametrize("name", ["motor", "omega"])
