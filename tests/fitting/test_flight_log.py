@@ -223,7 +223,7 @@ def test_no_sample_in_or_next_to_a_bridged_gap_is_in_flight(measured, columns):
 
 
 def test_constants_do_not_depend_on_a_bridged_gap(bebop):
-    """Of a flight that lacks 1 s: those of the whole flight, within 2 standard errors."""
+    """Of a flight that lacks 1 s: of the whole one, within 2 standard errors, 3% and 1%."""
     columns = simulated(1)
     part = (columns["time"] < 3.0) | (columns["time"] > 4.0)
     logs = [
@@ -234,13 +234,14 @@ def test_constants_do_not_depend_on_a_bridged_gap(bebop):
     for first, second in zip(whole, bridged, strict=True):
         for name, error in second.errors.items():
             change = second.constants[name] - first.constants[name]
-            assert np.isinf(error) or abs(change) < 2.0 * error, name
+            most = min(2.0 * error, 0.03 * abs(first.constants[name]))
+            assert np.isinf(error) or abs(change) < most, name
     lags = [
         fit_battery([log], 7500.0, BatteryConfig().filled(11000.0), [airborne(log)], 0.1)[0]
         for log in logs
     ]
     taus = [lag.constants["tau"] for lag in lags]
-    assert abs(taus[1] - taus[0]) < 2.0 * lags[1].errors["tau"]
+    assert abs(taus[1] - taus[0]) < min(2.0 * lags[1].errors["tau"], 0.01 * taus[0])
 
 
 def test_a_counter_of_32_bits_may_wrap(columns):
@@ -287,7 +288,7 @@ def test_tables_of_another_form_are_one_line(case, tmp_path, columns):
     [
         (lambda c: _poke(c, "time", 20, 0.0), "logs."),
         (lambda c: _poke(c, "time", 20, c["time"][19]), "logs."),
-        (lambda c: _times(c, 1e5, "rate_p"), "logs."),
+        (lambda c: _times(c, 1e5, "rate_p"), "; is this"),
     ],
 )
 def test_no_key_is_named_that_would_change_nothing(change, never, columns):
