@@ -12,7 +12,7 @@ than ``EXCLUDED`` standard errors from the estimate is not kept: the estimate is
 is below.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -121,16 +121,6 @@ def solve(problem: Problem) -> Estimate:
     if minimum is not None and free.all():
         size = np.sqrt((minimum.jacobian**2).mean(axis=0))
         condition = float(np.linalg.cond(minimum.jacobian / np.maximum(size, 1e-300)))
-    warnings = _warnings(problem, reasons, values, errors, explained)
-    if minimum is not None and minimum.hidden:
-        warnings.append(
-            f"{problem.group}: what tells its constants apart is little but noise of the signals, "
-            "which is not compensated: they may be too small"
-        )
-    converged = minimum is None or minimum.converged
-    if not converged:
-        steps = f"the solver stopped after {MAX_STEPS} steps, before it converged"
-        warnings.append(f"{problem.group}: {steps}")
     return Estimate(
         group=problem.group,
         constants=dict(zip(names, values.tolist(), strict=True)),
@@ -138,9 +128,9 @@ def solve(problem: Problem) -> Estimate:
         condition=condition,
         r_squared=explained,
         rmse=float(np.sqrt(square.mean())),
-        warnings=tuple(warnings),
+        warnings=tuple(_warnings(problem, reasons, values, errors, explained, minimum)),
         negated=tuple(names[i] for i in np.flatnonzero(_negated(problem, values, errors))),
-        converged=converged,
+        converged=minimum is None or minimum.converged,
     )
 
 
@@ -274,22 +264,30 @@ def _warnings(
     values: np.ndarray,
     errors: np.ndarray,
     explained: float,
-) -> list[str]:
+    minimum: Minimum | None,
+) -> Iterator[str]:
     labels = [f"{parameter.name} ({problem.group})" for parameter in problem.parameters]
-    lines = []
     for i, reason in reasons.items():
-        kept = f"the base vehicle's {problem.parameters[i].base:.4g} is kept"
-        if np.isfinite(errors[i]):
-            kept = f"0 is used: the logs exclude {kept.removesuffix(' is kept')}"
-        lines.append(f"{labels[i]}: {reason}; {kept}")
+        value = f"the base vehicle's {problem.parameters[i].base:.4g}"
+        kept = (
+            f"0 is used: the logs exclude {value}" if np.isfinite(errors[i]) else f"{value} is kept"
+        )
+        yield f"{labels[i]}: {reason}; {kept}"
     if explained < LITTLE_EXPLAINED:
-        lines.append(f"{problem.group}: R^2 is {explained:.2f}: the model explains little")
+        yield f"{problem.group}: R^2 is {explained:.2f}: the model explains little"
     with np.errstate(invalid="ignore"):
         uncertain = np.isfinite(errors) & (errors > problem.uncertain * np.abs(values))
         uncertain[list(reasons)] = False
-    lines += [
-        f"{labels[i]}: little excited by the logs, or the model does not fit them: "
-        f"{values[i]:.4g} +- {100.0 * errors[i] / max(abs(values[i]), 1e-300):.0f}%"
-        for i in np.flatnonzero(uncertain)
-    ]
-    return lines
+    for i in np.flatnonzero(uncertain).tolist():
+        yield (
+            f"{labels[i]}: little excited by the logs, or the model does not fit them: "
+            f"{values[i]:.4g} +- {100.0 * errors[i] / max(abs(values[i]), 1e-300):.0f}%"
+        )
+    if minimum is not None and minimum.hidden:
+        yield (
+            f"{problem.group}: what tells its constants apart is little but noise of the signals, "
+            "which is not compensated: they may be too small"
+        )
+    if minimum is not None and not minimum.converged:
+        steps = f"the solver stopped after {MAX_STEPS} steps, before it converged"
+        yield f"{problem.group}: {steps}"
