@@ -242,8 +242,6 @@ def _warnings(
             "speeds; body.rpm_range, if given, bounds it"
         )
     for log in logs:
-        if row := log.source["cut_row"]:
-            yield (f"{log.name}: row {row} is left out: no line break ends it, so it may be cut")
         if gaps := log.source["gaps"]:
             yield (
                 f"{log.name}: {len(gaps)} of the steps between samples are gaps of up to "

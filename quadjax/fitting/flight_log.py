@@ -142,9 +142,8 @@ def read_log(path: Path | str, config: LogsConfig) -> Flight:
 
     Returns:
         The flight, evenly sampled; see ``log_flight``. Its ``source`` has "path"; "unchecked", the
-        columns without evidence of sign and order; "cut_row", the row that is left out, or None;
-        "gaps", the lengths, s, of those between samples that are not in flight therefore; and
-        "left_out", what the file has and is not read.
+        columns without evidence of sign and order; "gaps", the lengths, s, of those between samples
+        that are not in flight therefore; and "left_out", what the file has and is not read.
 
     Raises:
         InputError: a missing column, a cell that is no finite number, a time that does not increase
@@ -166,7 +165,8 @@ def read_log(path: Path | str, config: LogsConfig) -> Flight:
     if further := further_motors(wanted, header):
         with contextlib.suppress(InputError):  # columns without numbers are of no motor
             table = read_csv(path, [*names, *further], form.settings)
-    return _flight(replace(table, left_out=tuple(second_sensors(wanted, header))), config)
+    left_out = (*table.left_out, *second_sensors(wanted, header))
+    return _flight(replace(table, left_out=left_out), config)
 
 
 def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) -> Flight:
@@ -198,8 +198,8 @@ def _flight(table: LogTable, config: LogsConfig) -> Flight:
     rate = (len(flying) - 1) / float(even["time"][-1] - even["time"][0])
     unchecked = check_consistency(path, names, even, rate, flying, frames, config)
     even["flying"] = flying
-    facts = {"cut_row": table.cut_row, "gaps": gaps.tolist(), "left_out": left_out}
-    return log_flight(path, even, unchecked=unchecked, **facts)
+    facts = {"unchecked": unchecked, "gaps": gaps.tolist(), "left_out": left_out}
+    return log_flight(path, even, **facts)
 
 
 def highest_speed(logs: Sequence[Flight]) -> float:

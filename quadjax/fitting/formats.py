@@ -20,6 +20,8 @@ from quadjax.fitting import ulog
 from quadjax.fitting.log_table import LogTable
 
 Quantities = dict[str, np.ndarray]
+Names = Mapping[str, list[str]]  # of columns, by quantity
+Units = Mapping[str, tuple[str, float]]  # names, "" for a number, and factors, by quantity
 RPM = 30.0 / math.pi  # of 1 rad/s
 FLIP = np.array([1.0, -1.0, -1.0])  # FLU <-> FRD
 ENU = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

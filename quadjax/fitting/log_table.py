@@ -19,6 +19,7 @@ from quadjax.core.files import check_file
 MAX_BYTES = 2**30  # of one log: hours of flight
 MAX_SETTINGS = 2000  # rows of settings before the header
 SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", " ": "spaces"}
+INDEX = re.compile(r"\d+(?=\D*$)")  # the last number of a name
 FEWEST = 9  # separators in a row of names: of time, rotor speeds or commands, rates and forces
 
 
@@ -30,8 +31,7 @@ class LogTable:
     columns: Mapping[str, np.ndarray]  # (n,) by name
     settings: Mapping[str, str] = field(default_factory=dict)  # of the log's head
     first_row: int | None = None  # row of the first sample in the file; None for no rows
-    cut_row: int | None = None  # the last row of the file, left out: no line break ends it
-    left_out: tuple[str, ...] = ()  # what else the file has that a reader leaves out
+    left_out: tuple[str, ...] = ()  # what the file has and is not read, as text
     causes: Mapping[int, str] = field(default_factory=dict)  # of gaps, by the sample after them
 
     def error(self, index: int, columns: str, problem: str) -> InputError:
@@ -79,6 +79,17 @@ def _check_separators(path: Path | str, row: int, line: str) -> None:
             )
 
 
+def indexed_alike(group: Sequence[str], present: Sequence[str]) -> list[str]:
+    """Columns that differ from those of a group by their index: ``motor[4]`` beside ``motor[0]``.
+
+    None where the columns of the group have no index, or differ by more.
+    """
+    forms = {INDEX.sub("#", name) for name in group}
+    if len(forms) != 1 or "#" not in (form := forms.pop()):
+        return []
+    return [name for name in present if INDEX.sub("#", name) == form and name not in group]
+
+
 def missing(name: str, present: Sequence[str]) -> str:
     """That a column is missing, with one that differs by case, spaces or a unit, for a message."""
 
@@ -105,16 +116,16 @@ def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> 
             problem = twice if name in header else missing(name, header)
             raise InputError(f"{path}: row {start}, {problem}")
     places = {name: header.index(name) for name in names}
-    row, line, cut_row = 0, "", None
+    row, line, left_out = 0, "", list[str]()
 
     def whole_lines() -> Iterator[str]:
-        nonlocal row, line, cut_row
+        nonlocal row, line
         empty = 0
         for row, line in enumerate(stream, 1):
             if row <= start:
                 continue
             if not line.endswith("\n"):
-                cut_row = row
+                left_out.append(f"row {row}, which may be cut: no line break ends it")
             elif not line.strip():
                 empty = empty or row
             elif empty:
@@ -149,7 +160,7 @@ def read_csv(path: Path | str, names: Sequence[str], settings: bool = False) -> 
             raise InputError(f"{path}: row {row}{problem}") from None
     columns = table.reshape(-1, len(names)).T
     by_name = dict(zip(names, columns, strict=True))
-    return LogTable(str(path), by_name, header_settings, start + 1, cut_row)
+    return LogTable(str(path), by_name, header_settings, start + 1, tuple(left_out))
 
 
 def _cells(path: Path | str, line: str) -> list[str]:

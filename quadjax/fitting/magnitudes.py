@@ -3,17 +3,13 @@
 Each check raises an ``InputError`` of one line with the file, the column and the row.
 """
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import LogsConfig
-from quadjax.fitting.formats import QUANTITIES, UNITS, Quantities
+from quadjax.fitting.formats import QUANTITIES, UNITS, Names, Quantities, Units
 from quadjax.fitting.log_table import LogTable, time_fault
 
-Names = Mapping[str, list[str]]  # of columns, by quantity
-Units = Mapping[str, tuple[str, float]]  # names, "" for a number, and factors, by quantity
 LEAST_ROWS = 50  # of a log, for the filters
 DETERMINANT_SLACK = 0.1  # of a rotation matrix, from 1
 SLOWEST, FASTEST = 2000.0, 60_000.0  # rpm, medians of propeller speeds in flight
@@ -97,7 +93,8 @@ def check_columns(
                 beyond &= airborne
             for sample in np.flatnonzero(beyond)[:1]:
                 problem = f" is {column[sample]:.4g} {row.si}, expected {low:g} to {high:g}"
-                raise log.error(sample, repr(name), problem + _hint(row.unit, column, high, unit))
+                hint = _hint(row.unit, np.abs(column).max(), unit, 0.0, high)
+                raise log.error(sample, repr(name), problem + hint)
     _check_levels(log, names, quantities, 1.0 + config.max_scale_error)
 
 
@@ -109,34 +106,26 @@ def _check_median(
     middle = float(np.median(speeds[rows]))
     if SLOWEST <= middle <= FASTEST:
         return
-    problem = f"a median of {middle:.4g} rpm in flight; "
-    raise log.error(rows[0], f"{name!r} and on: ", problem + _speeds_hint(middle, *unit))
-
-
-def _speeds_hint(middle: float, unit: str, factor: float) -> str:
-    """The units that would make a median of so many rpm one of propellers."""
+    expected = f"expected {SLOWEST:g} to {FASTEST:g}{_hint('rpm', middle, unit, SLOWEST, FASTEST)}"
     if middle < -SLOWEST:
-        return "expected no sign"
-    pairs = {name: USUAL_PAIRS for name in UNITS["rpm"] if name.startswith("erpm")}
-    likely = [
-        f"{name} (with logs.pole_pairs)" if name in pairs else name
-        for name, other in UNITS["rpm"].items()
-        if name != unit and SLOWEST <= middle / factor * other / pairs.get(name, 1) <= FASTEST
-    ]
-    allowed = f"expected {SLOWEST:g} to {FASTEST:g}"
-    words = [*likely, "the rpm of 1"]
-    return f"{allowed}; is logs.units.rpm {' or '.join(words)}?"
+        expected = "expected no sign"
+    problem = f"a median of {middle:.4g} rpm in flight; {expected}"
+    raise log.error(rows[0], f"{name!r} and on: ", problem)
 
 
-def _hint(kind: str, column: np.ndarray, high: float, unit: tuple[str, float]) -> str:
-    """The key that would bring a column (n,) of a kind of unit below its highest value."""
+def _hint(kind: str, value: float, unit: tuple[str, float], low: float, high: float) -> str:
+    """The key that would bring a value of a kind of unit between low and high, as a question."""
     if not kind:
         return "; is logs.motor_range right?"
-    largest, words = np.abs(column).max() / unit[1], {"deg": "degrees", "mg": "milli-g"}
+    likely, number = [], abs(value) / unit[1]
     for name, factor in UNITS[kind].items():
-        if name != unit[0] and largest * factor <= high:
-            return f"; is this in {words.get(name, name)} (logs.units.{kind}={name})?"
-    return ""
+        electrical = name.startswith("erpm")
+        size = number * factor / (USUAL_PAIRS if electrical else 1)
+        if name != unit[0] and low <= size <= high:
+            likely.append(name + " (with logs.pole_pairs)" * electrical)
+    if kind == "rpm":
+        likely.append("the rpm of 1")
+    return f"; is logs.units.{kind} {' or '.join(likely)}?" if likely else ""
 
 
 def _check_levels(log: LogTable, names: Names, quantities: Quantities, largest: float) -> None:

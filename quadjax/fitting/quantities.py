@@ -18,12 +18,20 @@ from quadjax.fitting.formats import (
     TO_NED,
     UNITS,
     LogFormat,
+    Names,
     Quantities,
+    Units,
     numbers_of,
 )
-from quadjax.fitting.log_table import LogTable, continuous, interpolated, missing, unwrapped
+from quadjax.fitting.log_table import (
+    LogTable,
+    continuous,
+    indexed_alike,
+    interpolated,
+    missing,
+    unwrapped,
+)
 
-NUMBER = re.compile(r"\d+(?=\D*$)")  # the last one of a name
 BRIDGED = 0.02  # s, of gaps in which a straight line takes the place of the signals
 GUARD = 0.1  # s next to a gap, within the filters' reach
 SETTLING = 0.5  # s, until unknown propeller speeds have no effect
@@ -86,11 +94,7 @@ def wanted_columns(
 
 
 def quantities_of(
-    table: LogTable,
-    names: Mapping[str, list[str]],
-    units: Mapping[str, tuple[str, float]],
-    config: LogsConfig,
-    form: LogFormat,
+    table: LogTable, names: Names, units: Units, config: LogsConfig, form: LogFormat
 ) -> Quantities:
     """Quantities (n,) or (n, k) in SI, rpm, and motor commands from 0 to 1; see ``units_of``.
 
@@ -123,30 +127,25 @@ def quantities_of(
     return result
 
 
-def further_motors(names: Mapping[str, list[str]], present: Sequence[str]) -> list[str]:
-    """Columns of motors beyond the four of a log, ``motor[4]`` beside ``motor[0]`` and so on."""
-    found = []
-    for quantity in ("rpm", "rpm_command", "motor_command"):
-        forms = {NUMBER.sub("#", name) for name in names.get(quantity, [])}
-        if len(forms) == 1 and "#" in (form := forms.pop()):
-            found += [name for name in present if NUMBER.sub("#", name) == form]
-    known = {name for group in names.values() for name in group}
-    return [name for name in found if name not in known]
+def further_motors(names: Names, present: Sequence[str]) -> list[str]:
+    """Columns of motors beyond the four of a log."""
+    groups = [names.get(quantity, []) for quantity in ("rpm", "rpm_command", "motor_command")]
+    found = [name for group in groups for name in indexed_alike(group, present)]
+    return [name for name in found if not any(name in group for group in names.values())]
 
 
-def second_sensors(names: Mapping[str, list[str]], present: Sequence[str]) -> list[str]:
+def second_sensors(names: Names, present: Sequence[str]) -> list[str]:
     """Columns like those of a log but for a number that is no index: ``gyro2_x`` and ``gyro_x``."""
     found = []
     for group in names.values():
-        indexed = len(group) > 1 and len({NUMBER.sub("#", name) for name in group}) == 1
+        indexed = len(group) > 1 and set(group[1:]) == set(indexed_alike(group[:1], group))
         number = r"_?\d+(?=\D.*\d)" if indexed else r"_?\d+"
         plain = {re.sub(number, "", name) for name in group}
         found += [name for name in present if re.sub(number, "", name) in plain]
-    known = {name for group in names.values() for name in group}
-    return [name for name in found if name not in known]
+    return [name for name in found if not any(name in group for group in names.values())]
 
 
-def check_motors(table: LogTable, names: Mapping[str, list[str]], config: LogsConfig) -> list[str]:
+def check_motors(table: LogTable, names: Names, config: LogsConfig) -> list[str]:
     """The columns of further motors that change, of which the config chose four.
 
     Raises:
@@ -164,9 +163,7 @@ def check_motors(table: LogTable, names: Mapping[str, list[str]], config: LogsCo
     return beyond
 
 
-def units_of(
-    table: LogTable, names: Mapping[str, list[str]], config: LogsConfig, form: LogFormat
-) -> dict[str, tuple[str, float]]:
+def units_of(table: LogTable, names: Names, config: LogsConfig, form: LogFormat) -> Units:
     """The unit of each quantity, and its factor to SI or rpm; "" for a number or none.
 
     Raises:

@@ -12,7 +12,6 @@ at 10 Hz; "high rate" alone logs no position.
 
 import contextlib
 import io
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -24,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from quadjax.core.contents import ULOG, ULOG_MAGIC, check_kind
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file
-from quadjax.fitting.log_table import LogTable, continuous, interpolated, time_fault
+from quadjax.fitting.log_table import LogTable, continuous, indexed_alike, interpolated, time_fault
 from quadjax.vehicle.airframe import GRAVITY
 
 MAX_GAP = 0.05  # s, between samples of a topic
@@ -52,7 +51,6 @@ SOURCES = {  # topic and fields by quantity; fields of another topic in place of
 }
 ESC = "esc_status"
 HEADER = 16  # bytes
-MOST_MOTORS = 12  # of a topic
 STALE = 3  # samples at the start of a topic that may be of long before
 OTHER = ("vehicle_acceleration", COLUMNS["gyro"])  # of the acceleration
 Fields = dict[str, np.ndarray]  # of a topic, each (n,)
@@ -216,20 +214,17 @@ def _usual(time: np.ndarray) -> float:
 def _series(path: Path, data: Fields, topic: str, fields: list[str], names: list[str]) -> Series:
     """The samples of some fields of a topic, without old ones at the start.
 
-    Of motors there may be more than four: further ones that are used follow. Their commands are NaN
-    while PX4 is disarmed, of which those at both ends are left out.
+    Further motors follow the four of a quadcopter. Commands are NaN while PX4 is disarmed: those at
+    both ends are left out.
     """
-    if topic in (HELD, ESC):
-        first, second = re.split(r"\d+", fields[0], maxsplit=1)
-        others = [f"{first}{index}{second}" for index in range(len(fields), MOST_MOTORS)]
-        used = [name for name in others if name in data and np.any(data[name] > 0)]
-        fields, names = [*fields, *used], [*names, *used]
+    further = indexed_alike(fields, list(data)) if topic in (HELD, ESC) else []
+    count, fields, names = len(fields), [*fields, *further], [*names, *further]
     for name in fields:
         if name not in data:
             raise InputError(f"{path}: topic {topic} has no field {name!r}")
     values = np.stack([np.asarray(data[name], np.float64) for name in fields], axis=1)
     time, rows = _times(data), np.arange(len(values))
-    if topic == HELD and (armed := np.flatnonzero(np.isfinite(values).all(axis=1))).size:
+    if topic == HELD and (armed := np.flatnonzero(np.isfinite(values[:, :count]).all(1))).size:
         rows = rows[armed[0] : armed[-1] + 1]
     usual, step = _usual(time), MAX_STEP if topic == SLOW else MAX_GAP
     slow, longest = usual > step, max(step, 2.5 * usual)
