@@ -12,16 +12,18 @@ from quadjax.core.precision import single_precision
 from quadjax.fitting.axes import Prediction
 from quadjax.fitting.config import FitConfig, with_body
 from quadjax.fitting.flight_log import read_logs
+from quadjax.fitting.magnitudes import unit_hint
 from quadjax.fitting.motors import BatteryFit
 from quadjax.fitting.nominal import AXES, Constants, units
 from quadjax.fitting.nominal_fit import NominalFits
 from quadjax.fitting.regression import Estimate, check_signs, r_squared
 from quadjax.fitting.residual import ResidualFit, ResidualFits, zero_residual
-from quadjax.fitting.samples import CUTOFF, Folds, Samples, Split
+from quadjax.fitting.samples import CUTOFF, Folds, Samples, Split, airborne
 from quadjax.flights.flight import Flight
 from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
 
 UNLIKE = 2.0  # times the base vehicle's thrust
+NEAR = 1.25  # largest factor on a scale of speeds that another unit explains
 
 Report = Callable[[str], None]
 
@@ -131,10 +133,10 @@ def fit(config: FitConfig, folder: Path = Path(), report: Report = lambda line: 
         kept=kept,
         battery=limit,
         warnings=[
-            *_warnings(config, logs, estimates),
+            *_warnings(logs, estimates),
             *kept.values(),
             *_unexplained(training, nominal.fitted_axes(split.all)),
-            *_scale(config, logs, estimates, vehicle),
+            *_scale(logs, estimates, vehicle, model),
         ],
     )
 
@@ -181,8 +183,8 @@ def check_logs(config: FitConfig, logs: Sequence[Flight], model: str) -> None:
     """Refuse logs that are too slow, lack what the model needs, or are of another drone.
 
     Raises:
-        InputError: a log of few samples, without speeds, or faster than the config's range by more
-            than the allowed scale error.
+        InputError: a log of few samples, without speeds, faster than the config's range by more
+            than the allowed scale error, or slower than this range for most of the flight.
     """
     for log in logs:
         path, measured = log.source["path"], "actuators" in log.signals
@@ -198,11 +200,16 @@ def check_logs(config: FitConfig, logs: Sequence[Flight], model: str) -> None:
             )
         if config.body.rpm_range is None or not measured:
             continue
-        (low, high), fastest = config.body.rpm_range, float(np.percentile(log["actuators"], 99.0))
-        if fastest > high * (1.0 + config.logs.max_scale_error):
+        (low, high), speeds = config.body.rpm_range, log["actuators"][airborne(log)]
+        highest, unit = high * (1.0 + config.logs.max_scale_error), log.source["rpm_unit"]
+        fastest, middle = float(np.percentile(speeds, 99.0)), float(np.median(speeds))
+        if not (fastest <= highest and middle >= low):
+            found = (
+                f"up to {fastest:.5g} rpm" if fastest > highest else f"{middle:.5g} rpm on average"
+            )
             raise InputError(
-                f"{path}: speeds of up to {fastest:.5g} rpm, those of the vehicle are {low:g} to "
-                f"{high:g} (body.rpm_range); is it this drone? is logs.units.rpm right?"
+                f"{path}: speeds of {found}, those of the vehicle are {low:g} to {high:g} "
+                f"(body.rpm_range), if it is this drone{unit_hint('rpm', middle, unit, low, high)}"
             )
 
 
@@ -215,32 +222,29 @@ def _unexplained(training: Prediction, fitted: Set[str]) -> Iterator[str]:
 
 
 def _scale(
-    config: FitConfig, logs: Sequence[Flight], estimates: Sequence[Estimate], base: VehicleFile
+    logs: Sequence[Flight], estimates: Sequence[Estimate], base: VehicleFile, model: str
 ) -> Iterator[str]:
-    """A thrust unlike the base vehicle's, where nothing else shows the scale of the speeds."""
-    checked = config.body.rpm_range is not None or any("command" in log.signals for log in logs)
-    if base.model != "racing" or checked or not all("actuators" in log.signals for log in logs):
+    """A thrust unlike the base vehicle's: of another drone, or the scale of the speeds is wrong.
+
+    Commanded speeds, which have the same unit, do not show it, nor do the motors' range of speeds.
+    """
+    if not all("actuators" in log.signals for log in logs):
         return
     fitted = {name: x for estimate in estimates for name, x in estimate.constants.items()}
-    change = fitted.get("k_w", base.racing.k_w) / float(base.racing.k_w)
+    known = float(base.constants(model).k_w)
+    change = fitted.get("k_w", known) / known
     if not 1.0 / UNLIKE < change < UNLIKE:
+        speeds = change**0.5  # of the base vehicle, times those of the logs
+        hint = unit_hint("rpm", 1.0, logs[0].source["rpm_unit"], speeds / NEAR, speeds * NEAR)
         yield (
-            f"k_w is {change:.3g} times that of {base.name}: is it the drone's, or is the scale of "
-            "the propeller speeds wrong (logs.units.rpm)? body.rpm_range, if given, bounds it"
+            f"k_w is {change:.3g} times that of {base.name}, as of propeller speeds that are "
+            f"{1.0 / speeds:.3g} times the true ones, unless it is another drone{hint}"
         )
 
 
-def _warnings(
-    config: FitConfig, logs: Sequence[Flight], estimates: Sequence[Estimate]
-) -> Iterator[str]:
+def _warnings(logs: Sequence[Flight], estimates: Sequence[Estimate]) -> Iterator[str]:
     for estimate in estimates:
         yield from estimate.warnings
-    scaled = any({"command", "motor_command"} & set(log.signals) for log in logs)
-    if config.body.rpm_range is None and not scaled:
-        yield (
-            "the common scale of the propeller speeds is not checked: the logs have no commanded "
-            "speeds; body.rpm_range, if given, bounds it"
-        )
     for log in logs:
         if gaps := log.source["gaps"]:
             yield (

@@ -143,7 +143,8 @@ def read_log(path: Path | str, config: LogsConfig) -> Flight:
     Returns:
         The flight, evenly sampled; see ``log_flight``. Its ``source`` has "path"; "unchecked", the
         columns without evidence of sign and order; "gaps", the lengths, s, of those between samples
-        that are not in flight therefore; and "left_out", what the file has and is not read.
+        that are not in flight therefore; "left_out", what the file has and is not read; and
+        "rpm_unit", the unit of the speeds with its factor to rpm, or None.
 
     Raises:
         InputError: a missing column, a cell that is no finite number, a time that does not increase
@@ -199,6 +200,7 @@ def _flight(table: LogTable, config: LogsConfig) -> Flight:
     unchecked = check_consistency(path, names, even, rate, flying, frames, config)
     even["flying"] = flying
     facts = {"unchecked": unchecked, "gaps": gaps.tolist(), "left_out": left_out}
+    facts["rpm_unit"] = units.get("rpm")
     return log_flight(path, even, **facts)
 
 

@@ -93,7 +93,7 @@ def check_columns(
                 beyond &= airborne
             for sample in np.flatnonzero(beyond)[:1]:
                 problem = f" is {column[sample]:.4g} {row.si}, expected {low:g} to {high:g}"
-                hint = _hint(row.unit, np.abs(column).max(), unit, 0.0, high)
+                hint = unit_hint(row.unit, np.abs(column).max(), unit, 0.0, high)
                 raise log.error(sample, repr(name), problem + hint)
     _check_levels(log, names, quantities, 1.0 + config.max_scale_error)
 
@@ -106,15 +106,19 @@ def _check_median(
     middle = float(np.median(speeds[rows]))
     if SLOWEST <= middle <= FASTEST:
         return
-    expected = f"expected {SLOWEST:g} to {FASTEST:g}{_hint('rpm', middle, unit, SLOWEST, FASTEST)}"
+    hint = unit_hint("rpm", middle, unit, SLOWEST, FASTEST)
+    expected = f"expected {SLOWEST:g} to {FASTEST:g}{hint}"
     if middle < -SLOWEST:
         expected = "expected no sign"
     problem = f"a median of {middle:.4g} rpm in flight; {expected}"
     raise log.error(rows[0], f"{name!r} and on: ", problem)
 
 
-def _hint(kind: str, value: float, unit: tuple[str, float], low: float, high: float) -> str:
-    """The key that would bring a value of a kind of unit between low and high, as a question."""
+def unit_hint(kind: str, value: float, unit: tuple[str, float], low: float, high: float) -> str:
+    """The key that would bring a value of a kind of unit between low and high, as a question.
+
+    ``unit`` is the present one and its factor, which for electrical speeds has the pole pairs.
+    """
     if not kind:
         return "; is logs.motor_range right?"
     likely, number = [], abs(value) / unit[1]
@@ -125,6 +129,11 @@ def _hint(kind: str, value: float, unit: tuple[str, float], low: float, high: fl
             likely.append(name + " (with logs.pole_pairs)" * electrical)
     if kind == "rpm":
         likely.append("the rpm of 1")
+    if unit[0].startswith("erpm"):
+        electrical_speed = number * UNITS[kind][unit[0]]
+        pairs = round(electrical_speed / (low * high) ** 0.5)
+        if pairs and low <= electrical_speed / pairs <= high:
+            likely.append(f"logs.pole_pairs {pairs}")
     return f"; is logs.units.{kind} {' or '.join(likely)}?" if likely else ""
 
 

@@ -439,13 +439,26 @@ def _fit(pieces, form, names, **changes):
     return fit(FitConfig(vehicle=vehicle, logs=logs, **changes))
 
 
-def test_a_scale_of_the_speeds_that_nothing_checks_is_named(pieces):
-    """Speeds that are 1.5 times too high give 0.44 times the thrust per squared speed."""
-    logs = {"files": [str(pieces / "a_blackbox.csv")], "format": "blackbox", "min_seconds": 1.0}
-    logs["units"] = {"rpm": 1.5 * 30.0 / np.pi}
-    result = fit(FitConfig(vehicle="5inch.yaml", logs=logs))
+@pytest.mark.parametrize(
+    ("drone", "rpm_of_1", "start", "hint"),
+    [
+        ("5inch", 1.5 * 30.0 / np.pi, "k_w is 0.44", "rad/s"),
+        ("3inch", "rad/s", "k_w is 39", "Hz"),  # the speeds are written in Hz
+    ],
+)
+def test_the_unit_that_the_thrust_of_the_base_vehicle_suggests(
+    drone, rpm_of_1, start, hint, tmp_path
+):
+    columns = racing_logs.blackbox_columns(racing_logs.fly(_truth(drone), seed=2, seconds=3.0))
+    in_hz = 1.0 / (2.0 * np.pi) if drone == "3inch" else 1.0
+    columns |= {name: in_hz * columns[name] for name in SPEEDS}
+    racing_logs.write_blackbox(tmp_path / "flight.csv", columns)
+    logs = {"files": [str(tmp_path / "flight.csv")], "format": "blackbox", "min_seconds": 1.0}
+    logs["units"] = {"rpm": rpm_of_1}
+    result = fit(FitConfig(vehicle=f"{drone}.yaml", logs=logs))
     (line,) = (line for line in result.warnings if "logs.units.rpm" in line)
-    assert line.startswith("k_w is 0.44") and "5-inch" in line and "body.rpm_range" in line
+    assert line.startswith(start) and drone[0] in line
+    assert line.endswith(f"is logs.units.rpm {hint} or the rpm of 1?")
 
 
 @pytest.mark.parametrize("form", [pytest.param("tii", marks=pytest.mark.slow), "blackbox"])

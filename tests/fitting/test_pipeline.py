@@ -180,6 +180,27 @@ def test_logs_of_a_drone_that_turns_faster_than_the_vehicle_are_refused(two):
         fit(load_fit_config(CONFIG, words), two)
 
 
+SLOWER = ("logs.units.rpm=erpm", "logs.pole_pairs=2")  # of the speeds, which are in rpm
+
+
+def test_speeds_that_are_too_slow_for_the_drone_are_refused(two):
+    words = (f"logs.files=[{two}/*.csv]", "body.rpm_range=[4500, 11000]", *SLOWER)
+    with pytest.raises(InputError, match=r"rpm on average.*body.rpm_range.*logs.pole_pairs 1\?$"):
+        fit(load_fit_config(CONFIG, words), two)
+
+
+@pytest.mark.parametrize("span", ["[2000, 11000]", "null"])
+def test_a_thrust_unlike_that_of_the_base_vehicle_names_the_unit_of_the_speeds(span, two):
+    """Also within the range of the motors' speeds, and where commands have the same unit."""
+    words = [f"logs.files=[{two}/*.csv]", f"body.rpm_range={span}", "residual.fit=false"]
+    for more, count in (((), 0), (SLOWER, 1)):
+        found = fit(load_fit_config(CONFIG, [*words, *more]), two).warnings
+        lines = [line for line in found if "logs.units.rpm" in line]
+        assert len(lines) == count, lines
+    assert lines[0].startswith("k_w is 4") and "that are 0.5 times the true ones" in lines[0]
+    assert lines[0].endswith("is logs.units.rpm rpm or the rpm of 1 or logs.pole_pairs 1?")
+
+
 def test_missing_logs_of_the_simulated_drone_say_how_they_are_made(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run("fit", "standin") == 2
