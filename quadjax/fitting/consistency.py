@@ -10,13 +10,13 @@ costs little likelihood, or a motor if its exchange does.
 
 import functools
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import LogsConfig
-from quadjax.fitting.formats import ATTITUDES
+from quadjax.fitting.formats import ATTITUDES, QUANTITIES, Names, Units
 from quadjax.fitting.identities import (
     AXES,
     MOTORS,
@@ -27,6 +27,7 @@ from quadjax.fitting.identities import (
     Signals,
     signals_of,
 )
+from quadjax.fitting.magnitudes import scale_hint
 from quadjax.fitting.motor_evidence import LAG, MotorEvidence, typical_speeds
 from quadjax.fitting.signals import first_order
 
@@ -38,12 +39,12 @@ ANGLES = np.arange(-175.0, 181.0, 5.0)  # deg
 NEGATED = "negated"
 UNRELATED = "of something else"
 ALONE = 6.0  # log-likelihood: the columns of a sensor are rarely late one by one
-Names = Mapping[str, list[str]]
 
 
 def check_consistency(
     path: str,
     names: Names,
+    units: Units,
     quantities: Arrays,
     rate: float,
     flying: np.ndarray,
@@ -55,6 +56,7 @@ def check_consistency(
     Args:
         path: of the log, for messages.
         names: of the columns, by quantity.
+        units: of the columns, with their factors, by quantity.
         quantities: (n, k), evenly sampled, in the standard units and frames, but for the angles
             ``euler`` of the log's own frames; the quaternion is scalar last.
         rate: Hz, of the samples.
@@ -83,11 +85,13 @@ def check_consistency(
     gain = float(beyond[best] - gains[allowed].max(initial=0.0))
     if gain > EVIDENCE:
         quantity, change = rows[best]
-        columns = [names[quantity][i] for i in change.columns]
+        columns, hint = [names[quantity][i] for i in change.columns], ""
+        if change.scale != 1.0:
+            hint = scale_hint(QUANTITIES[quantity].unit, change.scale, units[quantity])
         raise InputError(
             f"{path}: column{'s' * (len(columns) > 1)} {_listed(columns)} "
-            f"{change.text.format(*names[quantity])}? That explains the log much better: "
-            f"log-likelihood {gain:+.0f}, allowed: {EVIDENCE:+.0f}"
+            f"{change.text.format(*names[quantity])}{hint or '?'} That explains the log "
+            f"much better: log-likelihood {gain:+.0f}, allowed: {EVIDENCE:+.0f}"
         )
     lines = _unchecked(rows, gains, names)
     if "position" in names and not form:
@@ -224,8 +228,17 @@ def _scaled(largest: float) -> Iterator[Change]:
     """Scales of all and of single columns."""
     for columns, factor in itertools.product((AXES, (0,), (1,), (2,)), SCALES):
         matrix = np.diag([1.0 / factor if i in columns else 1.0 for i in AXES])
-        text = f"{factor:.3g} times too large (logs.units, logs.max_scale_error)"
-        yield Change(columns, text, 1.0 / largest <= factor <= largest, matrix)
+        wrong = (
+            f"{factor:.3g} times too large"
+            if factor > 1.0
+            else f"{1.0 / factor:.3g} times too small"
+        )
+        text, allowed = (
+            f"{wrong} (logs.units, logs.max_scale_error)",
+            1.0 / largest <= factor <= largest,
+        )
+        scale = 1.0 / factor if columns == AXES else 1.0
+        yield Change(columns, text, allowed, matrix, scale=scale)
 
 
 def _rotated(largest: float) -> Iterator[Change]:

@@ -12,7 +12,7 @@ from quadjax.core.precision import single_precision
 from quadjax.fitting.axes import Prediction
 from quadjax.fitting.config import FitConfig, with_body
 from quadjax.fitting.flight_log import read_logs
-from quadjax.fitting.magnitudes import unit_hint
+from quadjax.fitting.magnitudes import scale_hint, unit_hint
 from quadjax.fitting.motors import BatteryFit
 from quadjax.fitting.nominal import AXES, Constants, units
 from quadjax.fitting.nominal_fit import NominalFits
@@ -23,7 +23,6 @@ from quadjax.flights.flight import Flight
 from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
 
 UNLIKE = 2.0  # times the base vehicle's thrust
-NEAR = 1.25  # largest factor on a scale of speeds that another unit explains
 
 Report = Callable[[str], None]
 
@@ -235,7 +234,7 @@ def _scale(
     change = fitted.get("k_w", known) / known
     if not 1.0 / UNLIKE < change < UNLIKE:
         speeds = change**0.5  # of the base vehicle, times those of the logs
-        hint = unit_hint("rpm", 1.0, logs[0].source["rpm_unit"], speeds / NEAR, speeds * NEAR)
+        hint = scale_hint("rpm", speeds, logs[0].source["rpm_unit"])
         yield (
             f"k_w is {change:.3g} times that of {base.name}, as of propeller speeds that are "
             f"{1.0 / speeds:.3g} times the true ones, unless it is another drone{hint}"

@@ -197,7 +197,7 @@ def _flight(table: LogTable, config: LogsConfig) -> Flight:
     even, flying, gaps = evenly(standard)
     even["acceleration"] = even["acceleration"] - even.pop("acceleration_bias", 0.0)
     rate = (len(flying) - 1) / float(even["time"][-1] - even["time"][0])
-    unchecked = check_consistency(path, names, even, rate, flying, frames, config)
+    unchecked = check_consistency(path, names, units, even, rate, flying, frames, config)
     even["flying"] = flying
     facts = {"unchecked": unchecked, "gaps": gaps.tolist(), "left_out": left_out}
     facts["rpm_unit"] = units.get("rpm")

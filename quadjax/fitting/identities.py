@@ -41,6 +41,7 @@ class Change(NamedTuple):
     delay: float = 0.0  # s, by which they are late
     order: tuple[int, ...] = MOTORS  # column of each motor
     spin: float = 1.0  # -1 for propellers that turn the other way
+    scale: float = 1.0  # of all columns, that corrects them
     unlikely: float = 0.0  # log-likelihood that its evidence must exceed besides
 
 

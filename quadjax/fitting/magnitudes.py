@@ -13,6 +13,7 @@ from quadjax.fitting.log_table import LogTable, time_fault
 LEAST_ROWS = 50  # of a log, for the filters
 DETERMINANT_SLACK = 0.1  # of a rotation matrix, from 1
 SLOWEST, FASTEST = 2000.0, 60_000.0  # rpm, medians of propeller speeds in flight
+NEAR = 1.25  # largest factor on a scale that another unit explains
 USUAL_PAIRS = 7  # of poles, of most motors of racing quadcopters
 
 
@@ -135,6 +136,11 @@ def unit_hint(kind: str, value: float, unit: tuple[str, float], low: float, high
         if pairs and low <= electrical_speed / pairs <= high:
             likely.append(f"logs.pole_pairs {pairs}")
     return f"; is logs.units.{kind} {' or '.join(likely)}?" if likely else ""
+
+
+def scale_hint(kind: str, scale: float, unit: tuple[str, float]) -> str:
+    """The key that explains values of which ``scale`` times are right; see ``unit_hint``."""
+    return unit_hint(kind, 1.0, unit, scale / NEAR, scale * NEAR)
 
 
 def _check_levels(log: LogTable, names: Names, quantities: Quantities, largest: float) -> None:

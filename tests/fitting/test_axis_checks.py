@@ -159,8 +159,11 @@ LINES = {  # what the line says: the changed columns
         f"rpm_obs_{i}": c[f"rpm_obs_{4 - i}"] for i in (1, 3)
     },
     "column 'vel_z' 97 times too large .*logs.units": lambda c: times(c, 100.0, "vel_z"),
-    "columns 'pos_x', 'pos_y', 'pos_z' 956 times too large .*logs.units": lambda c: times(
+    "columns 'pos_x', .* 956 times too large .*; is logs.units.length mm[?]": lambda c: times(
         c, 1000.0, *PAPARAZZI["position"]
+    ),
+    "columns 'ekf_U1', .* 9.* times too small .*; is logs.units.acceleration g[?] That": lambda c: (
+        times(c, 1.0 / 9.81, *PAPARAZZI["acceleration"], *PAPARAZZI["acceleration_bias"])
     ),
     "column 'rate_q' 0.206 s late": lambda c: late(c, "rate_q"),
     "columns 'ekf_U1', 'ekf_U2' rotated by 45 deg": lambda c: turned(
