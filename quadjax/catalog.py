@@ -2,7 +2,7 @@
 
 import contextlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from quadjax.config.reference import commented_yaml
 from quadjax.config.reference import describe as keys_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, close_match
-from quadjax.core.files import write_text
+from quadjax.core.files import whole_file
 from quadjax.core.resources import (
     CONFIGS,
     KINDS,
@@ -30,6 +30,7 @@ from quadjax.evaluation.table import Table, number
 from quadjax.fitting.config import FitConfig, load_fit_config
 from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.policy.file import Policy
+from quadjax.race.legs import against_legs, against_text, legs_of
 from quadjax.race.random_track import RandomTrack, generate
 from quadjax.race.track import GateSection, TrackSection
 from quadjax.vehicle import vehicle_file
@@ -47,7 +48,7 @@ SCHEMAS: dict[str, tuple[type[Section], Load]] = {  # kinds whose keys have desc
 }
 FOLDERS = {"config": "", "track": "tracks", "vehicle": "vehicles", "plant": "plant"}
 FOLDERS |= {"fit config": "fit"}  # in configs/, by kind
-OFF = 0.01  # cosine of the angle between a gate and a leg, beyond 90 deg, that is marked
+ANY_WIDTH = "vehicle.width=0"  # a track or a vehicle is shown alone: no gate is too narrow
 COMMENT = "Source of the constants: docs/guide/race.md, Drone. A fit to logs gives better ones."
 
 
@@ -128,7 +129,7 @@ def text_of(what: str, overrides: Sequence[str] = (), model_name: str | None = N
 def read_track(name: str) -> TrackSection:
     """A track by its name or file."""
     one_lap = "evaluate.laps=1"  # a course has one lap
-    return load_config(PRESET, [f"track.file={name}", one_lap]).track
+    return load_config(PRESET, [f"track.file={name}", one_lap, ANY_WIDTH]).track
 
 
 def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
@@ -146,7 +147,7 @@ def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
     names = [model] if model else [name for name in models if name in MODELS]
     if not names:
         raise InputError(f"{file}: has {', '.join(models) or 'no model'}; name its VehicleModel")
-    only = [override("vehicle.file", str(path)), "vehicle.width=0"]  # without a check of gates
+    only = [override("vehicle.file", str(path)), ANY_WIDTH]
     return [load_config("e2e", [*only, override("vehicle.model", name)]) for name in names]
 
 
@@ -168,7 +169,12 @@ def keys_text(kind: str) -> str:
 
 
 def write_vehicle(path: Path, data: Sequence[str]) -> None:
-    """Write the file of a vehicle from data of its airframe, ``KEY=VALUE``."""
+    """Write the file of a vehicle from data of its airframe, ``KEY=VALUE``.
+
+    Raises:
+        InputError: data that contradict each other, or of a drone that cannot fly; then nothing
+            is written.
+    """
     airframe = validate(Airframe, parse_overrides(data), OVERRIDES)
     models = {
         model: {name: float(f"{value:.6g}") for name, value in constants.items()}
@@ -177,7 +183,8 @@ def write_vehicle(path: Path, data: Sequence[str]) -> None:
     width = round(airframe.width, 4)
     drone = VehicleFile(path.stem, models, mass=airframe.mass, width=width)
     comment = f"From {' '.join(data)}\n{COMMENT}"
-    vehicle_file.write_vehicle(path, drone, comment)
+    with checked_file(path, vehicle_configs) as temporary:
+        vehicle_file.write_vehicle(temporary, drone, comment)
 
 
 def write_track(path: Path, settings: Sequence[str]) -> None:
@@ -185,16 +192,25 @@ def write_track(path: Path, settings: Sequence[str]) -> None:
     values = generate(validate(RandomTrack, parse_overrides(settings), OVERRIDES))
     gates = {"name": path.stem, "rules": values["rules"], "gates": values["gates"]}
     head = "# World NED: meters, z down; yaw in degrees; size: width and height in meters."
-    write_text(path, f"# Random track: {' '.join(settings)}\n{head}\n{to_yaml(gates)}")
+    with checked_file(path, read_track) as temporary:
+        text = f"# Random track: {' '.join(settings)}\n{head}\n{to_yaml(gates)}"
+        temporary.write_text(text, encoding="utf-8")
+
+
+@contextlib.contextmanager
+def checked_file(path: Path, read: Callable[[str], object]) -> Iterator[Path]:
+    """Yield a temporary path, which becomes ``path`` if it can be read; errors name ``path``."""
+    with whole_file(path) as temporary:
+        yield temporary
+        try:
+            read(str(temporary))
+        except InputError as error:
+            raise InputError(str(error).replace(str(temporary), str(path))) from None
 
 
 def track_text(track: TrackSection) -> str:
     """The gates of a track as a table, with its length."""
-    places = np.array([gate.position for gate in track.gates])
-    before = np.roll(places, 1, axis=0)
-    if not track.closed and track.start is not None:
-        before[0] = track.start.position
-    legs = places - before
+    legs = legs_of(track)
     length, flat = np.linalg.norm(legs, axis=1), np.linalg.norm(legs[:, :2], axis=1)
     heading = np.degrees(np.arctan2(legs[:, 1], legs[:, 0]))
     turn = np.mod(np.roll(heading, -1) - heading + 180.0, 360.0) - 180.0
@@ -202,7 +218,7 @@ def track_text(track: TrackSection) -> str:
     # No turn before or after a leg straight up or down, nor at the end of a course.
     turns = (flat > 0.01) & (np.roll(flat, -1) > 0.01)
     turns[-1] &= track.closed
-    against = _against_legs(track, legs)
+    against = against_legs(track)
     rows = []
     for index, gate in enumerate(track.gates):
         x, y, z = gate.position
@@ -213,26 +229,13 @@ def track_text(track: TrackSection) -> str:
         yaw += "*" if index + 1 in against else ""
         rows.append([str(index + 1), *place, yaw, leg, pitch, bend, _opening(gate)])
     kind = "a lap" if track.closed else "a course"
-    count = f"{len(places)} gate{'s' if len(places) > 1 else ''}"
+    count = f"{len(legs)} gate{'s' if len(legs) > 1 else ''}"
     head = f"{track.name}: {count}, {kind} of {length.sum():.1f} m between centers"
     titles = ["gate", "north", "east", "height", "yaw", "leg", "slope", "turn", "opening"]
     notes = ["meters and degrees; leg: from the gate before; turn: to the one after"]
-    if against:
-        which = f"gate{'s' if len(against) > 1 else ''} {', '.join(map(str, against))}"
-        notes.append(f"* more than 90 deg off a leg to or from it: check yaw_deg of {which}")
+    if text := against_text(track):
+        notes.append(f"* {text}")
     return f"{head}\n{Table(titles, rows, notes).format()}"
-
-
-def _against_legs(track: TrackSection, legs: np.ndarray) -> list[int]:
-    """Numbers, from 1, of gates that are passed against the leg (gates, 3) to them or from them."""
-    through = np.array([gate.axes for gate in track.gates])[:, :, 0]
-    after = np.roll(legs, -1, axis=0)
-    if not track.closed:
-        after[-1] = through[-1]
-    off = [
-        (leg * through).sum(axis=1) < -OFF * np.linalg.norm(leg, axis=1) for leg in (legs, after)
-    ]
-    return [int(index) + 1 for index in np.flatnonzero(off[0] | off[1])]
 
 
 def _opening(gate: GateSection) -> str:

@@ -194,6 +194,13 @@ def test_gates_against_their_legs_are_marked(start, gates, marked, tmp_path, cap
     assert (names in text) == bool(marked) and text.count("*") == len(marked.split()) + bool(marked)
 
 
+def test_a_track_is_shown_for_any_width_of_the_drone(tmp_path, capsys):
+    path = tmp_path / "small.yaml"
+    settings = ("seed=4", "gates=4", "size=[0.2, 0.2]", "frame=0.1")
+    assert run("show", path, *settings, "--write", "track") == 0
+    assert run("show", path) == 0 and "0.2 x 0.2" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("name", preset_names("tracks"))
 def test_no_gate_of_a_shipped_track_is_marked(name, capsys):
     assert run("show", name) == 0 and "*" not in capsys.readouterr().out
