@@ -104,7 +104,7 @@ def compare(
     if "table" in parts:
         flown = fly_worlds(entered, plant, protocol, report)
         report("drawing")
-        texts.append(table_text(entered["E2E"].drone, flown))
+        texts.append(table_text({name: each.drone for name, each in entered.items()}, flown))
         for name, each in entered.items():
             simulated, on_plant = (flown[f"{name} {world}"] for world in WORLDS)
             result[name] = {
@@ -170,8 +170,8 @@ def _fly(entered: Contender, config: Config, **options: Any) -> Evaluation:
         return evaluate(entered.policy, config, **options)
 
 
-def table_text(vehicle: Vehicle, flown: Mapping[str, Evaluation]) -> str:
-    """The lap table of ``fly_worlds``, E2E's lead, and how flights ended early.
+def table_text(drones: Mapping[str, Vehicle], flown: Mapping[str, Evaluation]) -> str:
+    """The lap table of ``fly_worlds``, E2E's lead, commands at a limit, and early ends of flights.
 
     The published flights are not in it: they are of another drone, residual and noise.
     """
@@ -180,9 +180,10 @@ def table_text(vehicle: Vehicle, flown: Mapping[str, Evaluation]) -> str:
         for label, result in flown.items()
     }
     notes = [lead(world, rows[f"E2E {world}"], rows[f"INDI {world}"]) for world in WORLDS]
-    shares = {world: limit_fraction(vehicle, flown[f"E2E {world}"]) for world in WORLDS}
-    texts = ["-" if x is None else f"{100.0 * x:.0f}% {world}" for world, x in shares.items()]
-    notes.append(f"E2E's rpm commands at a limit: {', '.join(texts)}")
+    for name, drone in drones.items():
+        shares = {world: limit_fraction(drone, flown[f"{name} {world}"]) for world in WORLDS}
+        texts = [f"{100.0 * x:.0f}% {world}" for world, x in shares.items() if x is not None]
+        notes.append(f"{name}'s rpm commands at a limit: {', '.join(texts) or '-'}")
     return "\n".join([lap_table(list(rows.values())).format(), *notes])
 
 
@@ -212,6 +213,7 @@ def lead(label: str, e2e: Row, indi: Row) -> str:
     text = f"E2E's lead over INDI, {label}"
     if not first.finished:
         return f"{text}: no flight that both finish"
+    text += f", on the {first.finished} of {e2e.runs} flights that both finish"
     ahead = second.plant_laps - first.plant_laps
     text += f": {interval_text(ahead.sum(axis=1), True)} s; first lap "
     text += f"{interval_text(ahead[:, 0], True)} s"

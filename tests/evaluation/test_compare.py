@@ -46,12 +46,14 @@ def test_the_table_has_flights_of_this_comparison_only():
         "INDI stand-in plant": evaluated(laps(*[2.85] * 5, 4.0), 3000.0, name="motor_command"),
     }
     vehicle = load_config("e2e +residual").vehicle
-    text = compare.table_text(vehicle, flown)
+    text = compare.table_text({"E2E": vehicle, "INDI": vehicle}, flown)
+    ahead = "flights that both finish: +1.50 s; first lap +0.25 s, each later lap +0.25 s"
     for line in (
         "5/6",
-        "E2E's lead over INDI, simulated: +1.50 s; first lap +0.25 s, each later lap +0.25 s",
-        "E2E's lead over INDI, stand-in plant: +1.50 s; first lap +0.25 s, each later lap +0.25 s",
-        "0% simulated, 100% stand-in plant",
+        f"E2E's lead over INDI, simulated, on the 2 of 2 {ahead}",
+        f"E2E's lead over INDI, stand-in plant, on the 5 of 6 {ahead}",
+        "E2E's rpm commands at a limit: 0% simulated, 100% stand-in plant\n",
+        "INDI's rpm commands at a limit: 100% stand-in plant",
         "E2E stand-in plant: run 6: hit a gate in lap 4",
     ):
         assert line in text, text
@@ -78,7 +80,7 @@ def test_the_table_of_plants_is_of_the_flights_that_both_finish():
     text, numbers = compare.plants_table(e2e, indi)
     assert "all effects 15.00 1/4 14.40 4/4" in " ".join(text.split())
     assert "all effects: both finish 1 of 4 flights, on 1 of 2 plants" in text
-    assert "E2E's lead over INDI, all effects: -0.60 s; first lap -0.10 s" in text
+    assert "all effects, on the 1 of 4 flights that both finish: -0.60 s; first lap -0.10 s" in text
     found = numbers["INDI"]["all effects"]
     assert found["mean"] == pytest.approx(14.4) and found["each plant"][1] is None
     assert (found["both finish"], found["finished"], found["runs"]) == (1, 4, 4)
