@@ -63,7 +63,8 @@ class Vehicle(Section):
         0.0,
         ge=0,
         le=100,
-        description="width of the drone from edge to edge, m: every gate's opening must be larger",
+        description="width of the drone from tip to tip of diagonally opposite propellers, m: "
+        "every gate's opening must be larger",
     )
     fitted_speed: float | None = Field(
         None,

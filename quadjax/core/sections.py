@@ -274,7 +274,8 @@ def _bad_value(
         return BadValue(first if first.startswith(key) else key, message)
     if error["type"] == "missing":
         return BadValue(key, f"{key} is missing")
-    texts = [_allowed(e) for e in errors if _location(e, tree) == location]
+    unit = _si_unit(schema, [key for key in location if isinstance(key, str)])
+    texts = [_allowed(e, unit) for e in errors if _location(e, tree) == location]
     value = short(error["input"])
     if not key:
         return BadValue(key, f"{value} is not a mapping of keys to values")
@@ -295,9 +296,17 @@ def _location(error: Mapping[str, Any], tree: object) -> tuple[str | int, ...]:
     return tuple(location)
 
 
-def _allowed(error: Mapping[str, Any]) -> str:
-    """What pydantic allows: "greater than 0", of "Input should be greater than 0"."""
+def _si_unit(schema: type[Section], keys: Sequence[str]) -> str:
+    """The unit of a key's number after a space, if it is one of physics."""
+    field = fields_at(schema, keys[:-1]).get(keys[-1]) if keys else None
+    unit = unit_of(field) if field else None
+    return "" if unit in (None, "steps", "decay", "environments", "gradient") else f" {unit}"
+
+
+def _allowed(error: Mapping[str, Any], unit: str) -> str:
+    """What pydantic allows: "greater than 0 m", of "Input should be greater than 0"."""
     text, value = re.sub(r"^\w+ should (be |have )?", "", error["msg"]), error["input"]
     if error["type"] == "tuple_type" and isinstance(value, str) and len(value.split(",")) > 1:
         return f"a list: [{short(value)[1:-1]}]"
-    return ALLOWED.get(error["type"], text.partition(" after validation")[0])
+    text = ALLOWED.get(error["type"], text.partition(" after validation")[0])
+    return text + unit if error["type"].startswith(("greater", "less")) else text

@@ -6,7 +6,7 @@ A first vehicle file for a drone that has no flight logs.
 import math
 from typing import Annotated, Self
 
-from quadjax.core.sections import Field, Section, model_validator
+from quadjax.core.sections import Field, Section, Unit, model_validator
 
 GRAVITY = 9.81  # m/s^2
 AIR = 1.225  # kg/m^3
@@ -37,8 +37,8 @@ class Airframe(Section):
     ```
 
     ``k_z``, ``k_h``, ``k_pv``, ``k_qv`` and ``k_rr`` are zero: they need a fit. On the one drone
-    checked, the Bebop 1, these rules are within a factor of two. The file's ``width`` is twice the
-    larger arm, plus D.
+    checked, the Bebop 1, these rules are within a factor of two. The file's ``width`` is the
+    distance of diagonally opposite motors, plus D.
 
     The constants of ``racing`` are these, per rad/s in place of rpm, with moments over ``i_xx``,
     ``i_yy``, ``i_zz``. Those of ``rate`` are
@@ -55,49 +55,59 @@ class Airframe(Section):
     more than their largest angular acceleration.
     """
 
-    mass: float = Field(gt=0, le=100, description="ready to fly, kg")
-    wheelbase: float | None = Field(
+    mass: Annotated[float, Unit("kg")] = Field(gt=0, le=100, description="ready to fly, kg")
+    wheelbase: Annotated[float | None, Unit("m")] = Field(
         None, gt=0, le=10, description="distance of diagonally opposite motors, m; 2 arm"
     )
-    arm: float | None = Field(
+    arm: Annotated[float | None, Unit("m")] = Field(
         None, gt=0, le=5, description="from the center of gravity to a motor, m; wheelbase / 2"
     )
-    arm_x: float | None = Field(
+    arm_x: Annotated[float | None, Unit("m")] = Field(
         None, gt=0, le=5, description="motor ahead of the center of gravity, m; 0.71 arm"
     )
-    arm_y: float | None = Field(
+    arm_y: Annotated[float | None, Unit("m")] = Field(
         None, gt=0, le=5, description="motor to the right of the center of gravity, m; 0.71 arm"
     )
-    propeller: float = Field(gt=0, le=2, description="diameter of a propeller, m")
-    rpm_max: float | None = Field(
+    propeller: Annotated[float, Unit("m")] = Field(
+        gt=0, le=2, description="diameter of a propeller, m"
+    )
+    rpm_max: Annotated[float | None, Unit("rpm")] = Field(
         None, gt=0, le=1e6, description="speed at full throttle; 0.7 motor_kv battery_volts"
     )
-    rpm_min: float | None = Field(
+    rpm_min: Annotated[float | None, Unit("rpm")] = Field(
         None, ge=0, le=1e6, description="idle speed when armed; 0.12 rpm_max"
     )
-    motor_kv: float | None = Field(None, gt=0, le=1e5, description="rpm per V")
-    battery_volts: float | None = Field(None, gt=0, le=1000, description="nominal voltage, V")
+    motor_kv: Annotated[float | None, Unit("rpm/V")] = Field(
+        None, gt=0, le=1e5, description="rpm per V"
+    )
+    battery_volts: Annotated[float | None, Unit("V")] = Field(
+        None, gt=0, le=1000, description="nominal voltage, V"
+    )
     thrust_to_weight: float | None = Field(
         None, gt=1, le=100, description="thrust of all four motors at rpm_max over weight"
     )
-    max_thrust: float | None = Field(
+    max_thrust: Annotated[float | None, Unit("N")] = Field(
         None, gt=0, le=1000, description="thrust of one motor at rpm_max, N (1 kgf is 9.81 N)"
     )
     thrust_coefficient: float | None = Field(
         None, gt=0, le=1, description="C_T of T = C_T rho n^2 D^4; 0.13 without the two above"
     )
-    torque_ratio: float | None = Field(
+    torque_ratio: Annotated[float | None, Unit("m")] = Field(
         None, gt=0, le=1, description="torque over thrust of a propeller, m; 0.1 propeller"
     )
-    rotor_inertia: float | None = Field(
+    rotor_inertia: Annotated[float | None, Unit("kg m^2")] = Field(
         None, gt=0, le=1, description="inertia of propeller and rotor, kg m^2; 0.02 propeller^4"
     )
-    inertia: tuple[Moment, Moment, Moment] | None = Field(
+    inertia: Annotated[tuple[Moment, Moment, Moment] | None, Unit("kg m^2")] = Field(
         None,
         description="inertia about x, y, z, kg m^2; 0.45 mass times the motors' squared distance",
     )
-    drag: float = Field(0.3, ge=0, le=10, description="linear drag over mass, 1/s")
-    tau: float = Field(0.03, gt=0, le=1, description="time constant of motor and controller, s")
+    drag: Annotated[float, Unit("1/s")] = Field(
+        0.3, ge=0, le=10, description="linear drag over mass, 1/s"
+    )
+    tau: Annotated[float, Unit("s")] = Field(
+        0.03, gt=0, le=1, description="time constant of motor and controller, s"
+    )
     motor_map: float = Field(
         0.84, ge=0, le=1, description="k of racing; 1: speed is linear in the command, 0: thrust is"
     )
@@ -106,8 +116,8 @@ class Airframe(Section):
     def _check_keys(self) -> Self:
         for names in ALTERNATIVES:
             if len(given := [name for name in names if getattr(self, name) is not None]) > 1:
-                value = getattr(self, given[1])
-                raise ValueError(f"{given[1]} is {value:g}, allowed: null with {given[0]}")
+                both = " and ".join(f"{name} is {getattr(self, name):g}" for name in given[:2])
+                raise ValueError(f"{both}, allowed: one of them")
         if self.rpm_max is None and (self.motor_kv is None or self.battery_volts is None):
             raise ValueError("rpm_max is null, allowed: a number, or motor_kv and battery_volts")
         return self
@@ -160,8 +170,11 @@ class Airframe(Section):
 
     @property
     def width(self) -> float:
-        """From edge to edge of the propellers, m."""
-        return 2.0 * max(self.arms) + self.propeller
+        """From tip to tip of diagonally opposite propellers, m.
+
+        A drone passes a gate with any yaw and roll; half of this is the radius of its sphere.
+        """
+        return 2.0 * math.hypot(*self.arms) + self.propeller
 
     def constants(self) -> dict[str, dict[str, float]]:
         """The constants of each model by name, in its units."""

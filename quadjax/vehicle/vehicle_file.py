@@ -37,7 +37,7 @@ class VehicleFile:
         models: constants by model and name.
         model: that a race uses; None is that of the race.
         mass: kg; None if not known, as the other numbers.
-        width: m, of the drone with its propellers.
+        width: m, from tip to tip of diagonally opposite propellers.
         fitted_speed: m/s, the highest of the flights that the constants are fitted to.
         path: of the file, for messages.
     """

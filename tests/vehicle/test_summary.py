@@ -114,6 +114,7 @@ def test_one_drone_in_three_models(tmp_path, capsys):
         assert config.vehicle.constants == pytest.approx(values_of(of[model]))
 
 
+SIDES = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
 LENGTHS = """
 wheelbase=0.26 | 0.0919 0.0919
 arm=0.13 wheelbase=0.26 | 0.0919 0.0919
@@ -130,6 +131,10 @@ def test_the_arms_of_a_frame(line):
     lengths = {key: float(value) for key, value in (x.split("=") for x in data.split())}
     frame = Airframe(mass=0.5, propeller=0.09, rpm_max=30000.0, **lengths)
     assert frame.arms == pytest.approx([float(x) for x in arms.split()], rel=1e-3)
+    x, y = frame.arms  # tips of the propellers are within half of the width in every direction
+    turn = np.linspace(0.0, 2.0 * np.pi, 721)
+    tips = [[sx * x + 0.045 * np.cos(turn), sy * y + 0.045 * np.sin(turn)] for sx, sy in SIDES]
+    assert np.hypot(*np.hstack(tips)).max() == pytest.approx(0.5 * frame.width, rel=1e-4)
 
 
 REFUSED = """
@@ -138,9 +143,13 @@ wheelbase=0.26 arm=0.26 | arm is 0.26, but by wheelbase a motor is 0.13 m
 arm=0.13 arm_x=0.15 | arm_x is 0.15, allowed: below arm, 0.13
 arm_x=0.1 | wheelbase is null, allowed: a number, or arm, or arm_x and arm_y
 arm=0.1 | propeller is 0.1524, allowed: a diameter up to 0.1414 m, the distance of adjacent motors
-arm=0.13 motor_kv=900 | motor_kv is 900, allowed: null with rpm_max
-arm=0.13 max_thrust=9 thrust_to_weight=4 | max_thrust is 9, allowed: null with thrust_to_weight
+arm=0.13 motor_kv=900 | rpm_max is 24000 and motor_kv is 900, allowed: one of them
+arm=0.13 max_thrust=9 thrust_to_weight=4 | thrust_to_weight is 4 and max_thrust is 9, allowed: one
 arm=0.13 inertia=0.1,0.2,0.3 | inertia is '0.1,0.2,0.3', allowed: a list: [0.1,0.2,0.3]
+arm=0.13 propeller=6 | propeller is 6, allowed: less than or equal to 2 m
+arm=0.13 max_thrust=2000 | max_thrust is 2000, allowed: less than or equal to 1000 N
+arm=0.13 inertia=[0.1,0.1,0.9] | i_zz is 0.9, allowed: at most 0.2
+arm=0.13 tau=0.001 | tau is 0.001, allowed: above 0.005 s
 arm=0.13 maxthrust=9 | did you mean max_thrust?
 """
 
@@ -152,6 +161,7 @@ def test_data_that_contradict_or_have_no_effect(line, tmp_path, capsys):
     assert run("show", tmp_path / "mine.yaml", "--write", "vehicle", *words) == 2
     printed = capsys.readouterr().err.strip()
     assert error in printed and "\n" not in printed
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_data_are_listed_with_their_defaults(capsys):
