@@ -80,13 +80,14 @@ def train(
 def _train(config: "Config", folder: Path, resume: bool, overwrite: bool) -> int:
     """Train one policy and print its evaluation; returns the exit status."""
     with loading():
-        from quadjax.evaluation.training import wide_margin, write_evaluation
+        from quadjax.evaluation.advice import before_training
+        from quadjax.evaluation.training import write_evaluation
         from quadjax.learners.loop import NonFiniteError
         from quadjax.training import run
         from quadjax.training.result import is_finished
 
     finished = resume and is_finished(folder)
-    if not finished and (text := wide_margin(config)):
+    for text in [] if finished else before_training(config):
         note(text)
     try:
         done = run.train(config, folder, resume=resume, overwrite=overwrite, started=STARTED)

@@ -1,6 +1,5 @@
 """What ``quadjax train`` writes and prints of a run, and the trainings of several seeds."""
 
-import math
 import subprocess
 import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -11,16 +10,16 @@ import numpy as np
 
 from quadjax.config.loading import load_config, names_of_code
 from quadjax.config.schema import Config
-from quadjax.core.errors import INTERRUPTED, InputError, quadjax_command
+from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.files import write_json
 from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import provenance
+from quadjax.evaluation.advice import look, next_step
 from quadjax.evaluation.curves import check_lengths, learning_figure, training_figure
 from quadjax.evaluation.evaluate import evaluate
 from quadjax.evaluation.published import first_under, published_total
 from quadjax.evaluation.result import Evaluation, joined
-from quadjax.flights.flight import Flight
 from quadjax.policy.file import Policy
 from quadjax.training.folder import check_same
 from quadjax.training.result import Run, is_finished, read_metrics, read_summary
@@ -65,26 +64,13 @@ def write_evaluation(run: Run) -> str:
     lines += _effort(run, published)
     if episodes:
         best, last = (run.summary[f"{which}_episode_reward"] for which in ("best", "last"))
-        lines.append(f"reward of an episode: best {best}, last {last}")
+        lines += [f"reward of an episode: best {best}, last {last}", look(run)]
     elif run.summary["best_lap_total"] is None:
         crashes = [why for result in results for why in result.laps.crashes]
-        lines.append(no_lap(crashes, run.summary["steps"]))
+        lines += [no_lap(crashes, run.summary["steps"]), look(run)]
     else:
-        lines += [*_last_evaluations(run), *_next_step(run, results[-1].flights)]
-    return "\n".join(lines)
-
-
-def wide_margin(config: Config) -> str:
-    """A line where the reward's margin is most of what the narrowest opening leaves, or nothing."""
-    margin, key = config.reward.gate_edge_margin, "reward.gate_edge_margin"
-    half = 0.5 * min(side for gate in config.track.gates for side in gate.size)
-    left = half - config.rules.body_radius
-    if not config.reward.gate_edge or margin <= 0.5 * left:
-        return ""
-    return (
-        f"{key} is {margin:.2f} m of the {left:.2f} m from the center to the edge of the narrowest "
-        f"opening: safe and slow; '{key}=0.03 legs' is between e2e_race and e2e_race_robust"
-    )
+        lines += [*_last_evaluations(run), *next_step(run, results[-1].flights)]
+    return "\n".join(filter(None, lines))
 
 
 def _last_evaluations(run: Run) -> list[str]:
@@ -98,22 +84,6 @@ def _last_evaluations(run: Run) -> list[str]:
         f"at the end of the training only {listed} of the flights finish; policy.npz is that of "
         f"{best} steps, of {steps}; see {GUIDE}"
     ]
-
-
-def _next_step(run: Run, flights: Sequence[Flight]) -> list[str]:
-    """The smallest clearance of flights against the drone's width, and what to run next."""
-    half, radius = 0.5 * run.config.vehicle.width, run.config.rules.body_radius
-    near = min((float(x) for flight in flights for x in flight.passages[:, 2]), default=math.inf)
-    width = f"half of the drone's width is {half:.2f} m" if half else "vehicle.width is not set"
-    lines = [f"smallest clearance of the deterministic flights: {near:.2f} m; {width}"]
-    command = f"next: {quadjax_command('evaluate', '--policy', run.folder)}"
-    if near < half or not (half or radius):
-        body = f"{math.ceil(100.0 * half) / 100.0:g}" if half else "RADIUS"
-        remedy = f"train with rules.body_radius={body} rules.gate_test=interpolated"
-        lines.append(f"{command} --body {body}; {remedy}")
-    elif not run.config.randomization.drawn:
-        lines.append(f"{command} --conditions spread, or --plant; e2e_race_robust trains for these")
-    return lines if math.isfinite(near) else lines[1:]
 
 
 def _episodes(config: Config) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 """Several seeds of one config: trained, flown, tabulated and drawn."""
 
+import shlex
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
 from quadjax.core.plotting import save_figure
 from quadjax.core.resources import CONFIGS
+from quadjax.evaluation.advice import before_training, next_step, wide_margin
 from quadjax.evaluation.conditions import read_conditions
 from quadjax.evaluation.curves import COLORS, learning_figure, spread, training_figure
 from quadjax.evaluation.evaluate import evaluate
@@ -19,12 +22,12 @@ from quadjax.evaluation.training import (
     evaluate_seed,
     format_seeds,
     train_once,
-    wide_margin,
     write_evaluation,
 )
 from quadjax.policy.file import Policy
 from quadjax.training.result import Run, read_metrics
 from quadjax.training.run import train
+from tests.commands import run
 from tests.evaluation.support import flights
 from tests.surface.short import OF_EACH, OF_LEARNER, short_config
 
@@ -65,6 +68,7 @@ def test_a_training_that_is_scored_by_the_reward(tmp_path):
     assert summary["best_steps"] == run.metrics["steps"][rewards.argmax()]
     text = write_evaluation(run)
     assert f"reward of an episode: best {summary['best_episode_reward']}" in text
+    assert text.splitlines()[-1] == f"next: quadjax view {tmp_path} shows its flight"
     numbers, flown = evaluate_seed(tmp_path, 2)
     assert numbers["last"] == summary["last_episode_reward"] and [x.runs for x in flown.rows] == [2]
     axes = learning_figure({"hover": [tmp_path]}).axes
@@ -138,10 +142,69 @@ def test_a_margin_that_takes_most_of_an_opening():
     robust, body = load_config("e2e_race_robust"), ["rules.body_radius=0.16"]
     assert wide_margin(load_config("e2e_race", body)) == wide_margin(robust) == ""
     text = wide_margin(load_config("e2e_race_robust", body))
-    assert text.startswith("reward.gate_edge_margin is 0.25 m of the 0.34 m from the center")
-    body += ["reward.gate_edge_margin=0.03 legs"]
-    assert wide_margin(load_config("e2e_race_robust", body)) == ""
+    assert text.startswith("reward.gate_edge_margin is 0.245 m, most of the 0.34 m from the center")
     assert wide_margin(load_config("e2e", body[:1])) == ""  # has no penalty at the edges
+
+
+@pytest.mark.parametrize("margin", ["0.07 legs", "0.03 legs", "0.2"])
+@pytest.mark.parametrize("opening", [0.7, 0.5, 0.37])
+def test_a_margin_that_cannot_be_met_and_one_that_can(opening, margin):
+    """The margin that is named is another one, of which nothing is said."""
+    words = [f"track.opening={opening}", "rules.body_radius=0.16", "rules.gate_test=interpolated"]
+    config = load_config("e2e_race_robust", [*words, f"reward.gate_edge_margin={margin}"])
+    left, text = 0.5 * opening - 0.16, wide_margin(config)
+    assert (text == "") == (config.reward.gate_edge_margin <= 0.5 * left)
+    assert ("cannot be met" in text) == (config.reward.gate_edge_margin >= left)
+    if text:
+        named = text.split("; ")[1].split(" ")[0]
+        assert before_training(load_config("e2e_race_robust", [*words, named])) == []
+
+
+def test_a_gate_that_is_passed_against_a_leg_is_named_before_a_training(tmp_path):
+    write_text(tmp_path / "back.yaml", GATES_OF_A_TURN)
+    (line,) = before_training(load_config("e2e_race", [f"track={tmp_path}/back.yaml"]))
+    assert line.startswith("back: ") and line.endswith("check yaw_deg of gate 2")
+    assert before_training(load_config("e2e_race")) == []
+
+
+def test_the_command_says_what_to_check_before_it_trains(tmp_path, monkeypatch, capsys):
+    def stop(*_, **__):
+        raise InputError("stopped")
+
+    monkeypatch.setattr("quadjax.training.run.train", stop)
+    write_text(tmp_path / "back.yaml", GATES_OF_A_TURN)
+    words = (f"track={tmp_path}/back.yaml", "reward.gate_edge_margin=0.6")
+    assert run("train", "e2e_race", *words, "--output", tmp_path) == 2
+    against, margin, _ = capsys.readouterr().err.splitlines()
+    assert "check yaw_deg of gate 2" in against
+    assert "reward.gate_edge_margin is 0.6 m, cannot be met" in margin
+
+
+GATES_OF_A_TURN = """
+gates:
+  - {position: [4, 0, -2], yaw_deg: 45}
+  - {position: [4, 4, -2], yaw_deg: 315}
+  - {position: [0, 4, -2], yaw_deg: 225}
+  - {position: [0, 0, -2], yaw_deg: 315}
+"""
+AFTER = {  # the end of the next step, by the config of the run; its words make a config
+    "e2e_race": "--conditions spread, or --plant; e2e_race_robust trains for these",
+    "e2e_race vehicle=5inch": "--conditions spread; e2e_race_robust trains for these",
+    "e2e_race_robust": "--conditions spread, or --plant; then quadjax export",
+    "indi_race": "rules.body_radius=0.2 rules.gate_test=interpolated trains for these",
+}
+
+
+@pytest.mark.parametrize("preset", AFTER)
+def test_the_next_step_is_a_setting_for_the_model_of_the_policy(preset, tmp_path):
+    words = ["rules.body_radius=0.2", "rules.gate_test=interpolated"]
+    config = load_config(preset, words)
+    (line,) = next_step(Run(config, tmp_path, None, True, {}), [])
+    assert line.startswith("next: quadjax evaluate --policy") and line.endswith(AFTER[preset])
+    if "trains" in line:
+        named = shlex.split(line.split("; ")[1].split(" trains")[0].replace("RADIUS", "0.2"))
+        trained = load_config(named[0], [*named[1:], *preset.split()[1:]])
+        assert trained.randomization.drawn and trained.vehicle.model == config.vehicle.model
 
 
 def make_run(folder, times, seconds_each=10.0, config="e2e_ppo.yaml", overrides=()):
