@@ -1,13 +1,13 @@
 """From flights of a first policy to a faster one, on drones drawn from a plant, for E2E and INDI.
 
-For each drone (``constants.seed`` of the plant): the first policies fly and are logged, constants,
+For each drone (by its number in the plant): the first policies fly and are logged, constants,
 inner loop and residual are fitted to the logs, each contender is trained on the fit with the same
 learner, steps and reward, and its mean action flies on the drone. "INDI, tuned" has the thrust
 limit with which it is the fastest with every flight finished, by other flights than are reported. A
 result in the folder is not computed again, so the same command resumes. ``benchmarks.loop_tables``
 prints the results.
 
-    python -m benchmarks.loop --drones 1 2 3 --output runs/loop
+    python -m benchmarks.loop --drones 0 1 2 --output runs/loop
 """
 
 import itertools
@@ -25,8 +25,8 @@ Names = Annotated[tuple[str, ...], LIST]
 
 def loop(
     *,
-    plant: PlantConfig = "rough",
-    drones: Seeds = tuple(range(1, 11)),
+    plant: PlantConfig = "cyberzoo",
+    drones: Seeds = tuple(range(10)),
     seeds: Seeds = (0,),
     contenders: Names = (E2E, TUNED),
     steps: Annotated[int, whole(1, 10**12)] = 7_000_000,

@@ -54,7 +54,7 @@ class Drone:
         written, found = self.folder / "logs", self.folder / "fit"
         if not list(written.glob("*.csv")):
             files = [PRETRAINED / f"{name}.npz" for name in FIRST]
-            words = (self.plant, f"constants.seed={self.number}")
+            words = (self.plant, f"drone={self.number}")
             logs(*words, output=written, policy=files, race="e2e +disturbance")
         if not (found / "vehicle.yaml").exists():
             words = (f"logs.files=[{(written / '*.csv').resolve()}]", *FIT, *SHORT)
@@ -77,7 +77,7 @@ class Drone:
         config = quadjax.load(words[0], words[1:])
         run = quadjax.train(config, self.folder / "runs" / path.stem, resume=True)
         still = config.replace(disturbance=type(config.disturbance)())
-        drone = load_plant_config(self.plant, [f"constants.seed={self.number}"])
+        drone = load_plant_config(self.plant, [f"drone={self.number}"])
         record, flights = dict[str, Any](made_with), []
         for key, noise in ({CHOSEN: 0} | REPORTED).items():
             plant = None if key == "simulated" else drone

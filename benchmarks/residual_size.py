@@ -98,10 +98,7 @@ def residual_size(
     for file in files:
         print(row(Path(file).stem, sizes(*of_residual(file, states))))
     for name, config in zip(plant, configs, strict=True):
-        drones = [
-            sizes(*of_plant(config.replace(constants=config.constants.replace(seed=seed)), states))
-            for seed in range(1, 41)
-        ]
+        drones = [sizes(*of_plant(config.member(number), states)) for number in range(40)]
         for label, quantile in (("10%", 0.1), ("median", 0.5), ("90%", 0.9)):
             print(row(f"{name}, {label}", np.quantile(drones, quantile, axis=0)))
 

@@ -28,13 +28,14 @@ def fit(logs):
 
 def main():
     race = quadjax.load("e2e")
-    plant = quadjax.load_plant_config("standin", ["constants.seed=3"])  # draws its constants
+    plant = quadjax.load_plant_config("cyberzoo", ["drone=3"])  # one of its drones
     model = fit(fly(race, plant))
     tuning = quadjax.load("e2e", [*model, "run.steps=1000000"])
     run = quadjax.train(quadjax.fine_tuning(tuning, POLICY), FOLDER / "run", overwrite=True)
     print("policy  finished  time of all laps, s")
     for name, policy in (("before", POLICY), ("after", run.policy)):
-        laps = quadjax.evaluate(policy, race, plant=plant, runs=10, deterministic=True, seed=1)
+        how = {"runs": 10, "drones": 1, "deterministic": True, "seed": 1}
+        laps = quadjax.evaluate(policy, race, plant=plant, **how)
         mean = np.mean(laps.totals[np.isfinite(laps.totals)])
         print(f"{name:<8}{laps.finished:>4}/10{mean:>22.2f}")
 

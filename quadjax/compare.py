@@ -79,7 +79,7 @@ def compare(
     folder: Path,
     report: Progress,
     parts: Sequence[str] = PARTS,
-    plants: int = 10,
+    drones: int = 10,
 ) -> str:
     """Fly the parts, write ``FILES`` to a folder, and return the tables as text.
 
@@ -91,7 +91,7 @@ def compare(
         folder: to write to.
         report: called with the progress.
         parts: some of ``PARTS``.
-        plants: drawn plants of the part "plants", which share the runs.
+        drones: drawn drones of the part "plants", which share the runs.
 
     Raises:
         InputError: policies that do not fit, or files that cannot be read.
@@ -130,7 +130,7 @@ def compare(
             for label, (_, signals) in drawn.responses().items()
         }
     if "plants" in parts:
-        options = dict(protocol) | {"plant": plant, "plants": plants, "progress": report}
+        options = dict(protocol) | {"plant": plant, "drones": drones, "progress": report}
         options["conditions"] = conditions.replace(deterministic=protocol["deterministic"])
         first, second = (
             _fly(each, each.race, name=name, **options) for name, each in entered.items()
@@ -207,14 +207,14 @@ def limit_fraction(vehicle: Vehicle, result: Evaluation) -> float | None:
 def lead(label: str, e2e: Row, indi: Row) -> str:
     """E2E's lead over INDI on the flights that both finish as text; positive if E2E is faster.
 
-    With 95% intervals over drawn plants, if there are several.
+    With 95% intervals over drawn drones, if there are several.
     """
     first, second = common(e2e, indi)
     text = f"E2E's lead over INDI, {label}"
     if not first.finished:
         return f"{text}: no flight that both finish"
     text += f", on the {first.finished} of {e2e.runs} flights that both finish"
-    ahead = second.plant_laps - first.plant_laps
+    ahead = second.drone_laps - first.drone_laps
     text += f": {interval_text(ahead.sum(axis=1), True)} s; first lap "
     text += f"{interval_text(ahead[:, 0], True)} s"
     if ahead.shape[1] > 1:
@@ -223,17 +223,17 @@ def lead(label: str, e2e: Row, indi: Row) -> str:
 
 
 def plants_table(e2e: Sequence[Row], indi: Sequence[Row]) -> tuple[str, dict[str, Any]]:
-    """Both contenders on drawn plants under every condition: text, and numbers as JSON takes them.
+    """Both contenders on drawn drones under every condition: text, and numbers as JSON takes them.
 
-    Total times are of the flights that both finish: the same plants, batteries and gusts. Intervals
-    of 95% are over the plants. The other numbers are of all flights.
+    Total times are of the flights that both finish: the same drones, batteries and gusts. Intervals
+    of 95% are over the drones. The other numbers are of all flights.
     """
     lines, notes, numbers = [], [], dict[str, Any]({name: {} for name in KINDS})
     for pair in zip(e2e, indi, strict=True):
         cells, label = [], pair[0].condition
         for name, row, both in zip(KINDS, pair, common(*pair), strict=True):
-            cells += [interval_text(both.plant_totals), f"{row.finished}/{row.runs}"]
-            totals = [*interval(both.plant_totals), *both.plant_totals.tolist()]
+            cells += [interval_text(both.drone_totals), f"{row.finished}/{row.runs}"]
+            totals = [*interval(both.drone_totals), *both.drone_totals.tolist()]
             mean, width, *each = (x if np.isfinite(x) else None for x in totals)
             of_row = {"finished": row.finished, "runs": row.runs, "crashes": row.ends}
             of_both = {"mean": mean, "interval": width, "each plant": each}
@@ -243,11 +243,11 @@ def plants_table(e2e: Sequence[Row], indi: Sequence[Row]) -> tuple[str, dict[str
                 notes.append(f"{name}, {label}, early ends: {ends}")
         lines.append([label, *cells])
         if both.finished < row.runs:
-            count = int(np.isfinite(both.plant_totals).sum())
+            count = int(np.isfinite(both.drone_totals).sum())
             text = f"both finish {both.finished} of {row.runs} flights"
-            notes.append(f"{label}: {text}, on {count} of {row.plants} plants")
+            notes.append(f"{label}: {text}, on {count} of {row.drones} drones")
     notes.append(lead(e2e[0].condition, e2e[0], indi[0]))
-    title = f"{e2e[0].plants} drawn plants: total time of the flights that both finish, s, with 95%"
-    title += "\nintervals over the plants; finished: of all flights"
+    title = f"{e2e[0].drones} drawn drones: total time of the flights that both finish, s, with 95%"
+    title += "\nintervals over the drones; finished: of all flights"
     table = Table(["", "E2E", "finished", "INDI", "finished"], lines, notes)
     return f"{title}\n{table.format()}", numbers

@@ -25,7 +25,7 @@ def compare(
     race: opt.Race = None,
     parts: Annotated[list[Part] | None, opt.LIST] = None,
     conditions: Annotated[list[str] | None, opt.LIST, Parameter(metavar="NAME ...")] = None,
-    plants: opt.Plants = 10,
+    drones: opt.Drones = 10,
     laps: opt.Laps = 6,
     runs: opt.Runs = 100,
     sampled: opt.Flag = False,
@@ -37,7 +37,7 @@ def compare(
     """Compare E2E and INDI in the simulator and on the stand-in plant.
 
     DIR/NAME gets table.txt, compare.json, config.yaml and figures. Overrides change
-    the plant's config. The part plants flies both on drawn plants, without each
+    the plant's config. The part plants flies both on drawn drones, without each
     effect in turn, with each alone, and with several charges of the battery.
 
     Example: quadjax compare standin --parts table --runs 100
@@ -51,14 +51,14 @@ def compare(
         parts: Some of the parts (default: all).
         conditions: Some rows of the part plants, such as 'all effects' 'charge 0.2'
             (default: all).
-        plants: Drawn plants, which share --runs.
+        drones: Drawn drones, which share --runs.
         laps: Laps of a run.
         runs: Number of runs.
         sampled: Fly with the noise of training.
         seed: Seed of batteries, gusts and sensors.
     """
     if not parts or "plants" in parts:
-        opt.check_shares(runs, plants)
+        opt.check_shares(runs, drones)
     with loading():
         from quadjax import compare as comparison
         from quadjax.config.loading import load_config
@@ -68,14 +68,14 @@ def compare(
     started = time.monotonic()
     chosen, folder = tuple(parts or comparison.PARTS), output / name
     if "plants" not in chosen:
-        opt.refuse("without the part plants (--parts)", "conditions", "plants")
+        opt.refuse("without the part plants (--parts)", "conditions", "drones")
     plant, listed = load_plant_config(config, overrides), read_conditions("plants", conditions)
     contenders = comparison.contenders(
         {"E2E": e2e, "INDI": indi}, None if race is None else load_config(race)
     )
     protocol = {"laps": laps, "runs": runs, "seed": seed, "deterministic": not sampled}
     with results(folder, "comparison", comparison.FILES, overwrite) as new, steps() as report:
-        options = (plant, protocol, listed, new, report, chosen, plants)
+        options = (plant, protocol, listed, new, report, chosen, drones)
         text = comparison.compare(contenders, *options)
     print(text)
     wrote(f"{folder}/ in {time.monotonic() - started:.0f} s")

@@ -53,7 +53,7 @@ def evaluate(
     seed: opt.Seed = 0,
     deterministic: opt.Flag = False,
     plant: opt.PlantConfig | None = None,
-    plants: opt.Plants | None = None,
+    drones: opt.Drones | None = None,
     fixed_point: opt.Flag = False,
     range_: Ranges | None = None,
     body: Annotated[opt.Positive | None, Parameter(metavar="RADIUS")] = None,
@@ -86,8 +86,8 @@ def evaluate(
     - random-tracks: one flight from hover on each of --runs random tracks, those of
       randomization.tracks with the seeds that follow;
     - damage: moments, thrust, residual, a damaged rotor, a shifted mass;
-    - plants: drawn stand-in plants, without each effect, and with each alone;
-    - rates: the policy at 100, 250 and 512 Hz on drawn stand-in plants.
+    - plants: drawn drones of the stand-in plant, without each effect, and with each alone;
+    - rates: the policy at 100, 250 and 512 Hz on drawn drones of the stand-in plant.
 
     With --flights, recorded flights are evaluated: states of an earlier --states
     FILE.npz, or flight logs (.csv, a glob pattern for several). DIR gets tables and
@@ -107,7 +107,8 @@ def evaluate(
         seed: Seed of noise, disturbances and starts.
         deterministic: Mean actions only.
         plant: Fly on the stand-in plant of this config.
-        plants: Number of drawn plants, which share the runs.
+        drones: Number of drones of the plant, which share the runs (default: as many of its
+            population as share them equally).
         fixed_point: Use the arithmetic of the exported C.
         range_: With --fixed-point: a range that the C was exported with.
         body: Radius of the drone, m: gates, bounds and ground are closer by it.
@@ -124,7 +125,9 @@ def evaluate(
         return _report(config, overrides, flights, logs, report, overwrite)
     opt.refuse("without --flights", "logs", "report", "overwrite")
     opt.exclude("laps", "gates", "seconds")
-    opt.check_shares(runs, plants)
+    if plant is None:
+        opt.refuse("without --plant", "drones")
+    opt.check_shares(runs, drones)
     if policy is None and config is not None:
         raise InputError("--policy is missing: the file of the policy, or a shipped one's name")
     if not fixed_point:
@@ -138,7 +141,7 @@ def evaluate(
         from quadjax.evaluation.result import joined
 
     how: dict[str, Any] = {"laps": laps, "gates": gates, "seconds": seconds, "runs": runs}
-    how |= {"start": start, "seed": seed, "plant": plant, "plants": plants, "body_radius": body}
+    how |= {"start": start, "seed": seed, "plant": plant, "drones": drones, "body_radius": body}
     with steps() as show:
         show("compiling and simulating")
         if listed is None:

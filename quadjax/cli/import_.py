@@ -27,6 +27,7 @@ def import_(
     motors: Motors | None = None,
     actuator_range: Span | None = None,
     thrust_sign: Literal["1", "-1"] | None = None,
+    residual_range: Span | None = None,
 ) -> None:
     """Convert networks of other projects to a policy file or a residual file.
 
@@ -53,6 +54,8 @@ def import_(
             rear-left.
         actuator_range: Actuator states observed as -1 and 1, if not those of CONFIG:
             observation.actuator_range.
+        residual_range: Propeller speeds, rpm, that enter a residual as -1 and 1, if not
+            those of CONFIG.
         thrust_sign: 1: the thrust network is added to the force along body z; -1:
             subtracted (the paper).
     """
@@ -67,15 +70,19 @@ def import_(
     sign = None if thrust_sign is None else int(thrust_sign)
     if len(networks) == 2:
         opt.refuse("on a residual", "activation", "std", "motors", "actuator_range")
-        write_residual(output, residual_of(race.vehicle, networks, sign), {"imported": networks})
+        write_residual(
+            output,
+            residual_of(race.vehicle, networks, sign, residual_range),
+            {"imported": networks},
+        )
         wrote(output)
         return
     residual = None
     if len(networks) == 1:
-        opt.refuse("on a policy", "thrust_sign")
+        opt.refuse("on a policy", "thrust_sign", "residual_range")
     else:
         opt.refuse("on a residual, import it alone", "motors")
-        residual = residual_of(race.vehicle, networks[1:], sign)
+        residual = residual_of(race.vehicle, networks[1:], sign, residual_range)
         vehicle = race.vehicle.replace(residual=None, residual_gain=1.0)  # the files' instead
         race = race.replace(vehicle=vehicle)
     policy = policy_of(networks[0], race, activation, deviations, motors, actuator_range)

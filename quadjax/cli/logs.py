@@ -25,8 +25,9 @@ def logs(
 ) -> None:
     """Write flight logs of policies on a simulated drone.
 
-    Each flight is written to DIR/POLICY_RUN.csv. PLANT is standin, rough, or exact: a
-    drone with the training model's constants, no other effects and no sensor errors.
+    Each flight is written to DIR/POLICY_RUN.csv. PLANT is cyberzoo (drone=3: its
+    fourth drone), standin, or exact: a drone with the training model's constants, no
+    other effects and no sensor errors.
 
     Example: quadjax logs standin --policy e2e --policy indi --output logs
 

@@ -19,7 +19,7 @@ from cyclopts import CoercionError, Group, Parameter, Token
 from quadjax.cli.files import Output, OutputFolder, option_name, writable_folder
 from quadjax.core.errors import InputError
 from quadjax.core.resources import find_config, policy_file, preset_names
-from quadjax.core.sections import FOLDER_NAME, MAX_GATES, MAX_LAPS, MAX_PLANTS, MAX_RUNS, MAX_SEED
+from quadjax.core.sections import FOLDER_NAME, MAX_DRONES, MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
 
 if TYPE_CHECKING:
     from quadjax.fitting.config import LogsConfig
@@ -124,10 +124,10 @@ def by_name(option: str, texts: Sequence[str] | None) -> dict[str, float]:
     return numbers
 
 
-def check_shares(runs: int | None, plants: int | None) -> None:
-    """Raise an ``InputError`` unless the runs are a multiple of the plants."""
-    if runs and plants and runs % plants:
-        raise InputError(f"--runs is {runs}, allowed: multiples of --plants ({plants})")
+def check_shares(runs: int | None, drones: int | None) -> None:
+    """Raise an ``InputError`` unless the runs are a multiple of the drones."""
+    if runs and drones and runs % drones:
+        raise InputError(f"--runs is {runs}, allowed: multiples of --drones ({drones})")
 
 
 def path(allowed: str, convert: Callable[[str], Path] = Path, **named: Any) -> Parameter:
@@ -200,7 +200,7 @@ Seed = Annotated[int, whole(0, MAX_SEED)]
 Laps = Annotated[int, whole(1, MAX_LAPS)]
 Gates = Annotated[int, whole(1, MAX_GATES)]
 Runs = Annotated[int, whole(1, MAX_RUNS)]
-Plants = Annotated[int, whole(1, MAX_PLANTS)]
+Drones = Annotated[int, whole(1, MAX_DRONES)]
 Count = Annotated[int, whole(1, 10**6)]
 Positive = Annotated[float, number(1e-6, 50.0)]
 LIST = Parameter(consume_multiple=True)  # values that follow one another; else the option repeats

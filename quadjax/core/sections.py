@@ -51,7 +51,7 @@ __all__ = ["Field", "PrivateAttr", "Section", "validate", "load_section", "model
 
 LARGEST = 1e9  # default bound of numbers
 MAX_LAPS, MAX_GATES, MAX_RUNS = 1000, 10_000, 100_000  # of one evaluation, simulated all at once
-MAX_PLANTS = 1000  # drawn plants of one evaluation
+MAX_DRONES = 1000  # drones of one evaluation
 MAX_SEED = 2**31 - 1
 MAX_TEXT = 1000  # characters of a text
 Positive = Annotated[float, Field(gt=0, le=LARGEST)]

@@ -23,9 +23,9 @@ from quadjax.config.loading import load_config, with_track
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, prefixed
 from quadjax.core.sections import (
+    MAX_DRONES,
     MAX_GATES,
     MAX_LAPS,
-    MAX_PLANTS,
     MAX_RUNS,
     MAX_SEED,
     Field,
@@ -142,7 +142,13 @@ class Conditions(Section):
     tracks: bool = Field(False, description="each flight is on another random track")
     speeds: bool = Field(False, description="record the speeds of the flights")
     plant: str | None = Field(None, description="config of the plant; null: the simulator")
-    plants: int = Field(1, ge=1, le=MAX_PLANTS, description="drawn plants, which share the flights")
+    drones: int | None = Field(
+        None,
+        ge=1,
+        le=MAX_DRONES,
+        description="drones of the plant, which share the flights; null: as many of its population "
+        "as share them equally",
+    )
     conditions: tuple[Condition, ...] = Field(min_length=1, max_length=1000, description="list")
     _source: str = PrivateAttr("conditions")  # file or name, for messages
 
@@ -158,8 +164,8 @@ class Conditions(Section):
         lengths = [name for name in LENGTHS if getattr(self, name) is not None]
         if len(lengths) > 1:
             raise ValueError(f"{lengths[1]} is not null, allowed: one of {', '.join(LENGTHS)}")
-        if self.runs is not None and self.runs % self.plants:
-            raise ValueError(f"runs is {self.runs}, allowed: multiples of plants ({self.plants})")
+        if self.runs is not None and self.runs % (self.drones or 1):
+            raise ValueError(f"runs is {self.runs}, allowed: multiples of drones ({self.drones})")
         return self
 
     def resolved(self, config: Config, **arguments: object) -> Self:

@@ -37,7 +37,7 @@ def evaluate(
     seed: int = 0,
     conditions: Conditions | Sequence[Condition] | Path | str | None = None,
     plant: PlantConfig | Path | str | None = None,
-    plants: int | None = None,
+    drones: int | None = None,
     tracks: bool | None = None,
     name: str | None = None,
     body_radius: float | None = None,
@@ -64,7 +64,8 @@ def evaluate(
         conditions: a list of conditions, its file, or a name in ``configs/conditions``.
         plant: config of the stand-in plant on which the policy flies; None: the simulator. On a
             plant, conditions that do not start from hover are left out.
-        plants: number of drawn plants, which share the runs. Each has its own noise.
+        drones: number of drones of the plant, which share the runs: run ``i`` flies drone
+            ``i % drones``; None: as many of its population as share them equally.
         tracks: fly each run on another random track, with the seeds after those of
             ``randomization.tracks``.
         name: name of the policy in messages, tables and JSON; its path if not given.
@@ -89,10 +90,12 @@ def evaluate(
         enable_compilation_cache()
     listed = read_conditions((Condition(label="-"),) if conditions is None else conditions)
     numbers = {"runs": runs, "laps": laps, "gates": gates, "seconds": seconds, "seed": seed}
-    choices = {"deterministic": deterministic, "start": start, "tracks": tracks, "plants": plants}
+    choices = {"deterministic": deterministic, "start": start, "tracks": tracks, "drones": drones}
     protocol = listed.resolved(config, **numbers, **choices)
     if not isinstance(plant, PlantConfig) and (plant := plant or protocol.plant) is not None:
         plant = load_plant_config(plant)
+    if plant is None and protocol.drones is not None:
+        raise InputError(f"drones is {protocol.drones}, allowed: null without a plant")
     if plant is not None and actor is not pilot.fly:
         raise InputError("actor is not None, allowed: without a plant")
     flying = list(protocol.of(config, plant))

@@ -1,6 +1,7 @@
 """Flights of a policy on the stand-in plant and on several that are drawn, and their logs."""
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,12 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.precision import single_precision
 from quadjax.evaluation.conditions import Conditions
-from quadjax.evaluation.rows import Row, concatenate
+from quadjax.evaluation.published import flown_row
+from quadjax.evaluation.rows import Row
 from quadjax.flights.flight import MOTORS, Flight, Signal
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flight import Plan
 from quadjax.plant.flights import (
-    Flights,
     fly_plan,
     log_quantities,
     plan_race,
@@ -51,41 +52,34 @@ def fly_plants(
     """
     if protocol.start != "hover" or protocol.laps is None or protocol.tracks:
         raise InputError("plant: flights are of whole laps from hover, allowed: laps, start=hover")
-    flown: list[Flights] = []
-    laps = []
-    for number, drone in enumerate(drawn(plant, protocol.plants)):
-        plan = plan_race(
-            race,
-            drone,
-            policy,
-            name,
-            lap_count=protocol.laps,
-            runs=(protocol.runs or 1) // protocol.plants,
-            recorded=RECORDED,
-            deterministic=bool(protocol.deterministic),
-        )
-        flights = fly_plan(plan, protocol.seed + number)
-        laps.append(flights.laps)
-        flown = flown or [flights]
+    runs = protocol.runs or 1
+    count = protocol.drones or math.gcd(runs, plant.size)
+    plan = plan_race(
+        race,
+        plant,
+        policy,
+        name,
+        lap_count=protocol.laps,
+        runs=runs,
+        recorded=RECORDED,
+        deterministic=bool(protocol.deterministic),
+        drones=count,
+    )
+    flown = fly_plan(plan, protocol.seed)
 
     def record() -> list[Flight]:
         result, constants = [], race_config(race, policy).vehicle.constants
-        recorded = recorded_flights(flown[0], race.track.gates, base_model(policy.vehicle))
+        recorded = recorded_flights(flown, race.track.gates, base_model(policy.vehicle))
         for run, flight in enumerate(recorded):
-            command = Signal(rows(flown[0], flown[0].frames.rpm_command, run), "rpm", MOTORS)
+            command = Signal(rows(flown, flown.frames.rpm_command, run), "rpm", MOTORS)
             flight = flight.replace(signals=flight.signals | {MOTOR_COMMAND: command})
             result.append(flight.of_drone(constants))
         return result
 
     best = race.evaluate.best_known_lap
-    return Row(name, concatenate(laps), label, protocol.plants, record=record, best_known_lap=best)
-
-
-def drawn(plant: PlantConfig, count: int) -> Iterator[PlantConfig]:
-    """The same plant with the constants of ``count`` drones, from the config's seed on."""
-    for number in range(count):
-        seed = plant.constants.seed + number
-        yield plant.replace(constants=plant.constants.replace(seed=seed))
+    by_drone = flown.laps.ordered(np.arange(runs).reshape(-1, count).T.ravel())
+    published = flown_row(race_config(race, policy), plant, protocol.laps)
+    return Row(name, by_drone, label, count, None, None, record, published, best)
 
 
 @single_precision

@@ -1,7 +1,7 @@
 """Published times of six laps from hover (Ferede et al., arXiv 2311.16948, Table I).
 
-A published row is next to sampled flights of the same race and length only. The rows are of
-simulated flights. No race here reproduces the flights of a real drone.
+A published row is next to flights of the same race and length only: those of simulated flights in
+the simulator, those of the real drone on the plant ``cyberzoo``, which stands for it.
 """
 
 import functools
@@ -14,17 +14,35 @@ from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.evaluation.rows import Row
+from quadjax.plant.config import PlantConfig
 from quadjax.race.laps import Laps
 from quadjax.vehicle.residual import digest, read_residual
 
 LAPS = 6
-E2E, INDI = (
-    Row(label, Laps(np.array([times]), ("",), np.array([sum(times)]), np.inf))
-    for label, times in {
-        "E2E simulated, sampled": (2.97, 2.51, 2.56, 2.55, 2.59, 2.57),
-        "INDI simulated, sampled": (3.20, 2.82, 2.75, 2.80, 2.81, 2.76),
-    }.items()
+REAL = "cyberzoo"  # name of the plant that stands for the real drone
+FLOWN_E2E, FLOWN_INDI = (  # laps of the real drone, (flights, laps)
+    np.array([[float(lap) for lap in flight.split()] for flight in text.split(";")])
+    for text in (
+        "3.23 2.79 2.81 2.84 2.84 2.83; 3.22 2.74 2.79 2.80 2.76 2.79; "
+        "3.20 2.73 2.91 2.76 2.85 2.83; 3.22 2.85 2.89 2.87 2.87 2.81; "
+        "3.24 2.81 2.85 2.86 2.87 2.88",
+        "3.30 2.86 2.80 2.86 2.91 2.79; 3.26 2.79 2.80 2.79 2.84 2.77; "
+        "3.25 2.80 2.83 2.86 2.76 2.84; 3.27 2.78 2.82 2.76 2.83 2.83; "
+        "3.31 2.80 2.86 2.81 2.87 2.94",
+    )
 )
+
+
+def _row(label: str, laps: np.ndarray) -> Row:
+    return Row(label, Laps(laps, ("",) * len(laps), laps.sum(axis=1), np.inf))
+
+
+E2E = _row("E2E simulated, sampled", np.array([[2.97, 2.51, 2.56, 2.55, 2.59, 2.57]]))
+INDI = _row("INDI simulated, sampled", np.array([[3.20, 2.82, 2.75, 2.80, 2.81, 2.76]]))
+FLOWN = {  # by the vehicle's model
+    "motor": _row("E2E, real flights", FLOWN_E2E),
+    "rate": _row("INDI, real flights", FLOWN_INDI),
+}
 PRESETS = {"motor": ("e2e_table1", E2E), "rate": ("indi_table1", INDI)}  # by the vehicle's model
 # SHA-256 of the numbers of the authors' residual, which flies the E2E row.
 RESIDUAL = "72ee30a56a78da8d792491e80bce910f08c002f554d222bbbf349cdd1ceb1eab"
@@ -47,6 +65,17 @@ def published_row(config: Config) -> Row | None:
         except InputError:
             return None
     return row if residual == (RESIDUAL if row is E2E else None) else None
+
+
+def flown_row(config: Config, plant: PlantConfig, laps: int | None) -> Row | None:
+    """The flights of the real drone, for a policy on the plant of that drone, on its track.
+
+    None for another plant, track or number of laps.
+    """
+    track = _race(config)[2:4]
+    if (plant.name, laps) != (REAL, LAPS) or track != _reference(PRESETS["motor"][0])[2:4]:
+        return None
+    return FLOWN[config.vehicle.model]
 
 
 def _race(config: Config) -> tuple[object, ...]:

@@ -34,7 +34,7 @@ class Row:
     policy: str  # label of the policy
     laps: Laps  # of all flights; those of one drawn plant follow each other
     condition: str = ""  # label of the condition; "" for the race as it is
-    plants: int = 1  # number of drawn plants that share the flights
+    drones: int = 1  # number of drones of a plant that share the flights
     speeds: Speeds | None = None  # of the flights, where they are recorded
     speed_limit: float | None = None  # m/s, that ``speeds.above`` counts from; None: unknown
     # returns the flights, of those on the plant the first ones of the first plant
@@ -114,21 +114,21 @@ class Row:
         return self.numbers["mean"]
 
     @property
-    def plant_laps(self) -> np.ndarray:
-        """Mean laps (plants, laps) of the flights that finish on each plant, s; NaN without one."""
-        laps = self.laps.lap_times.reshape(self.plants, -1, self.laps.lap_times.shape[1])
+    def drone_laps(self) -> np.ndarray:
+        """Mean laps (drones, laps) of the flights that finish of each drone, s; NaN without one."""
+        laps = self.laps.lap_times.reshape(self.drones, -1, self.laps.lap_times.shape[1])
         finished = (flights[np.isfinite(flights.sum(axis=1))] for flights in laps)
         none = np.full(laps.shape[2], np.nan)
         return np.stack([x.mean(axis=0) if len(x) else none for x in finished])
 
     @property
-    def plant_totals(self) -> np.ndarray:
-        """Mean total (plants,) of the flights that finish on each plant, s; NaN without one."""
-        return self.plant_laps.sum(axis=1)
+    def drone_totals(self) -> np.ndarray:
+        """Mean total (drones,) of the flights that finish of each drone, s; NaN without one."""
+        return self.drone_laps.sum(axis=1)
 
     def to_json(self) -> dict[str, Any]:
         """Numbers of the row as JSON takes them; null where there is none."""
-        counts = ("runs", "finished", "crashed", "without_lap", "plants")
+        counts = ("runs", "finished", "crashed", "without_lap", "drones")
         numbers = self.numbers.items()
         return (
             {"policy": self.policy, "label": self.condition}

@@ -119,7 +119,7 @@ def lap_table(rows: Sequence[Row]) -> Table:
         names = (row.policy if several or not row.condition else "", row.condition)
         label = ", ".join(filter(None, names))
         done = [number(row.numbers["best"]), f"{row.finished}/{row.runs}"]
-        last = ["-", "-"] if row in published else done
+        last = ["-", "-"] if row in published and row.runs == 1 else done
         cells = [label, *_laps(row.lap_means, count), number(row.total), *last]
         lines.append([*cells, _gap(row)] if gap else cells)
         notes += [f"{label}: {line}" for line in describe_crashes(row.laps)]
@@ -182,7 +182,7 @@ COLUMNS: dict[str, tuple[str, Callable[[Row], str]]] = {  # of conditions: title
     "crashed": ("crashed / median lap", _crashed),
     "finished": ("finished", lambda row: f"{row.finished} of {row.runs}"),
     "total": ("total", lambda row: f"{number(row.total)} ({row.finished})"),
-    "plants": ("total, 95% over the plants", lambda row: interval_text(row.plant_totals)),
+    "drones": ("total, 95% over the drones", lambda row: interval_text(row.drone_totals)),
     "median": ("median", _number("time", 2, " s")),
     "lap": ("median lap", _number("median_lap", 3, " s")),
     "between": ("first to last gate", _number("between", 2, " s")),

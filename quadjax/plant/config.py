@@ -1,9 +1,7 @@
 """Config of the stand-in plant: its physics, sensors and inner loop.
 
 A section with numbers of the plant is also their traced form (``quadjax.core.traced``).
-"assumed" in a description marks a number without a published value for a Bebop 1. Sensor defaults
-are data-sheet values of the sensors in the flights of Ferede et al. (arXiv 2311.16948): the
-MPU-6050 of a Bebop and an OptiTrack motion capture system.
+"assumed" in a description marks a number without a published value for a Bebop 1.
 """
 
 from collections.abc import Sequence
@@ -11,12 +9,14 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, prefixed
+from quadjax.core.section_keys import value_at, with_value
 from quadjax.core.sections import (
+    LARGEST,
+    MAX_DRONES,
     MAX_SEED,
     ORDERED,
     Field,
-    Fraction,
     NonNegative,
     Positive,
     Section,
@@ -24,14 +24,17 @@ from quadjax.core.sections import (
     model_validator,
 )
 from quadjax.core.traced import register
+from quadjax.plant.sensor_config import SensorsConfig
 from quadjax.vehicle.battery import BatteryConfig
 
 Half = Annotated[float, Field(ge=0.0, le=0.5)]
 Delay = Annotated[float, Field(ge=0.0, le=0.05)]
-Range = Annotated[tuple[Fraction, Fraction], ORDERED]  # a number is drawn between the two
-Deviation = Annotated[float, Field(ge=-2.0, le=2.0)]
-Deviations = Annotated[tuple[Deviation, Deviation], ORDERED]  # of either sign
 Lever = Annotated[float, Field(ge=-1.0, le=1.0)]
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Terms = Annotated[dict[str, Number], Field(max_length=100)]
+Numbers = Annotated[tuple[Number, ...], Field(max_length=MAX_DRONES)]
+VARIABLES = ("w", "roll", "pitch", "yaw", "v", "vx", "vy", "vz", "p", "q", "r")  # of the airframe
+OUTPUTS = ("force_z", "moment_x", "moment_y", "moment_z")
 
 MAX_LATENCY = 60  # samples, of a motion capture pose
 
@@ -51,7 +54,8 @@ class EffectsConfig(Section):
     gyroscopic: NonNegative = Field(1.0, description="moments of the turning rotors")
     vibration: NonNegative = Field(1.0, description="rotor imbalance at the inertial unit")
     offset: NonNegative = Field(1.0, description="inertial unit off the center of gravity")
-    airframe: NonNegative = Field(1.0, description="deviations of rotors, wakes, axes and balance")
+    airframe_force: NonNegative = Field(1.0, description="measured deviation of the force")
+    airframe_moment: NonNegative = Field(1.0, description="measured deviation of the moment")
 
 
 @register
@@ -70,37 +74,47 @@ class RotorConfig(Section):
 class MotorsConfig(Section):
     """Motors and their controllers."""
 
+    tau: Positive | None = Field(
+        None, description="s, first time constant; null: that of the vehicle"
+    )
     lag: NonNegative = Field(0.008, description="s, second time constant; assumed")
     shortfall: NonNegative = Field(
         0.02, description="fraction of a commanded change from hover that is not reached; assumed"
     )
+    slowing: Positive = Field(1.0, description="factor on the first time constant in slowing down")
     rotor_spread: Half = Field(0.01, description="largest relative deviation of one rotor's effect")
+    rpm_max: Positive | None = Field(
+        None, description="rpm, highest command; null: that of the vehicle"
+    )
 
 
 class AirframeConfig(Section):
-    """Ranges from which the airframe of each drone is drawn, by constants.seed; none by default."""
+    """Measured deviations of force and moment from the model: see ``quadjax.plant.airframe``."""
 
-    speed_loss: Range = Field(
-        (0.0, 0.0),
-        description="fraction of a rotor's thrust that is lost per (w^2 - w_hover^2) / rpm_max^2",
+    force_z: Terms = Field(
+        {}, description="m/s^2, specific force along body z: coefficient by term"
     )
-    torque_curve: Range = Field(
-        (0.0, 0.0), description="fraction of a rotor's torque that is quadratic in its speed"
+    moment_x: Terms = Field({}, description="N m")
+    moment_y: Terms = Field({}, description="N m")
+    moment_z: Terms = Field({}, description="N m")
+    limits: dict[str, Annotated[tuple[Number, Number], ORDERED]] = Field(
+        {},
+        max_length=100,
+        description="of variables; beyond them one enters as at the limit",
     )
-    rotor_spread: Half = Field(0.0, description="largest deviation of one rotor's thrust")
-    lift_loss: Deviations = Field(
-        (0.0, 0.0), description="fraction of k_h that is missing in flight along body x"
-    )
-    side_lift_loss: Deviations = Field(
-        (0.0, 0.0), description="fraction of k_h that is missing in flight along body y"
-    )
-    wake_loss: Range = Field(
-        (0.0, 0.0), description="fraction of its thrust that a rotor loses behind the others"
-    )
-    tilt_deg: float = Field(0.0, ge=0.0, le=10.0, description="largest tilt of a rotor's axis")
-    offset: tuple[Lever, Lever] = Field(
-        (0.0, 0.0), description="m, largest distance of the center of gravity along x and y"
-    )
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        allowed = f"allowed: 1, or one or two of {', '.join(VARIABLES)} with *"
+        for output in OUTPUTS:
+            for term in getattr(self, output):
+                names = [] if term == "1" else term.split("*")
+                if len(names) > 2 or set(names) - set(VARIABLES):
+                    raise ValueError(f"airframe.{output} has the term {term!r}, {allowed}")
+        for name in self.limits:
+            if name not in VARIABLES:
+                raise ValueError(f"airframe.limits has {name!r}, allowed: {', '.join(VARIABLES)}")
+        return self
 
 
 @register
@@ -148,73 +162,6 @@ class DelayConfig(Section):
 
 
 @register
-class GyroConfig(Section):
-    """Gyroscope. InvenSense MPU-6000/6050 product specification, PS-MPU-6000A-00."""
-
-    noise: NonNegative = Field(
-        8.7e-5, description="rad/s/sqrt(Hz), one-sided: 0.005 deg/s/sqrt(Hz)"
-    )
-    bias: NonNegative = Field(0.005, description="rad/s at the start, standard deviation; assumed")
-    bias_walk: NonNegative = Field(1.94e-5, description="rad/s/sqrt(s); Burri et al., IJRR 2016")
-    low_pass: NonNegative = Field(
-        98.0, description="Hz, of the unit's filter (setting 2); 0 for none"
-    )
-
-
-@register
-class AccelerometerConfig(Section):
-    """Accelerometer of the same unit."""
-
-    noise: NonNegative = Field(3.9e-3, description="m/s^2/sqrt(Hz), one-sided: 400 ug/sqrt(Hz)")
-    bias: NonNegative = Field(0.1, description="m/s^2 at the start, standard deviation; assumed")
-    bias_walk: NonNegative = Field(3.0e-3, description="m/s^2/sqrt(s); Burri et al., IJRR 2016")
-    low_pass: NonNegative = Field(94.0, description="Hz; 0 for none")
-
-
-@register
-class RpmConfig(Section):
-    """Propeller speeds as the motor controllers report them."""
-
-    noise: NonNegative = Field(20.0, description="rpm, standard deviation; assumed: 0.3% of hover")
-    resolution: NonNegative = Field(1.0, description="rpm; 0 for exact")
-
-
-@register
-class MocapConfig(Section):
-    """Motion capture of a rigid body's pose. OptiTrack Prime 13 data sheet, Flex 13 rates."""
-
-    rate: Positive = Field(200.0, description="Hz; at most sample_rate")
-    latency: NonNegative = Field(
-        0.02, description="s, exposure to arrival; assumed: 4 ms, then Wi-Fi"
-    )
-    position_noise: NonNegative = Field(1.0e-3, description="m: data sheet, body calibration")
-    attitude_noise: NonNegative = Field(8.7e-3, description="rad about each axis: 0.5 deg")
-    dropout: float = Field(0.02, ge=0.0, le=0.9, description="fraction of lost frames; assumed")
-    dropout_frames: float = Field(
-        3.0, ge=0, le=1000, description="mean number of consecutive lost frames; assumed"
-    )
-
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
-        shortest = 1.0 / (1.0 - self.dropout)
-        if self.dropout_frames < shortest:
-            raise ValueError(
-                f"sensors.mocap.dropout_frames is {self.dropout_frames}, allowed: at least "
-                f"{shortest:.3g}, 1 / (1 - dropout)"
-            )
-        return self
-
-
-class SensorsConfig(Section):
-    """All sensors. A number of zero turns its error off."""
-
-    gyro: GyroConfig = GyroConfig()
-    accelerometer: AccelerometerConfig = AccelerometerConfig()
-    rpm: RpmConfig = RpmConfig()
-    mocap: MocapConfig = MocapConfig()
-
-
-@register
 class IndiConfig(Section):
     """Inner loop from body rates and thrust to propeller speeds."""
 
@@ -226,12 +173,32 @@ class IndiConfig(Section):
     thrust_lag: Positive = Field(0.0305, description="s, desired lag of the thrust")
 
 
+@register
+class IndiSimpleConfig(Section):
+    """Paparazzi's inner loop, ``stabilization_indi_simple``, as it flew the INDI policy."""
+
+    cutoff: Positive = Field(8.0, description="Hz, of the filter of rates, thrust and commands")
+    gain: Positive = Field(28.0, description="1/s, from rate error to angular acceleration")
+    actuator_lag: Positive = Field(0.0185, description="s, of the loop's model of the actuators")
+    effectiveness: tuple[Positive, Positive, Positive, NonNegative] | None = Field(
+        None,
+        description="rad/s^2 per unit of roll, pitch and yaw command, and of a change of the yaw "
+        "command in a sample; null: of the vehicle's model in hover",
+    )
+    thrust_gain: Positive | None = Field(
+        None, description="units per m/s^2 of thrust error; null: of the vehicle's model in hover"
+    )
+    yaw_rate: Positive = Field(2.09, description="rad/s, largest commanded yaw rate: 120 deg/s")
+
+
 class PlantConfig(Section):
     """The stand-in plant."""
 
     name: str = Field("standin", pattern=r"^[\w-][\w.-]*$", description="folder of results")
     vehicle: str = Field("bebop1.yaml", description="the training model's file in configs/vehicles")
-    mass: Positive | None = Field(None, description="kg; null: that of the vehicle file")
+    mass: Positive | None = Field(
+        None, description="kg, of the drone with its load; null: that of the vehicle file"
+    )
     sample_rate: float = Field(
         500.0, ge=500, le=100_000, description="Hz, of physics, sensors, filters and inner loop"
     )
@@ -254,7 +221,15 @@ class PlantConfig(Section):
     constants: ConstantsConfig = ConstantsConfig()
     delay: DelayConfig = DelayConfig()
     sensors: SensorsConfig = SensorsConfig()
+    inner_loop: Literal["indi", "indi_simple"] = Field(
+        "indi", description="of policies that command rates and thrust"
+    )
     indi: IndiConfig = IndiConfig()
+    indi_simple: IndiSimpleConfig = IndiSimpleConfig()
+    population: dict[str, Numbers] = Field(
+        {}, max_length=100, description="drones: of each dotted key its value for every drone"
+    )
+    drone: int = Field(0, ge=0, le=MAX_SEED, description="number of the first drone that flies")
 
     @model_validator(mode="after")
     def _rates_agree(self) -> Self:
@@ -265,6 +240,7 @@ class PlantConfig(Section):
         for key, is_possible, allowed in (
             ("control_rate", rate % self.control_rate == 0, whole),
             ("indi.cutoff", self.indi.cutoff < 0.5 * rate, half),
+            ("indi_simple.cutoff", self.indi_simple.cutoff < 0.5 * rate, half),
             ("sensors.gyro.low_pass", sensors.gyro.low_pass < 0.5 * rate, f"0 (none) or {half}"),
             (
                 "sensors.accelerometer.low_pass",
@@ -277,6 +253,39 @@ class PlantConfig(Section):
             if not is_possible:
                 raise ValueError(f"{key} is {attrgetter(key)(self)}, allowed: {allowed}")
         return self
+
+    @model_validator(mode="after")
+    def _population(self) -> Self:
+        first = next(iter(self.population), "")
+        for key, values in self.population.items():
+            if len(values) != self.size:
+                raise ValueError(
+                    f"population.{key} has {len(values)} values, population.{first} "
+                    f"{len(self.population[first])}; allowed: one for each drone, at least one"
+                )
+        for number in range(self.size if self.population else 0):
+            self.member(number)
+        return self
+
+    @property
+    def size(self) -> int:
+        """Number of drones of the population; 1 without one."""
+        return len(next(iter(self.population.values()), ())) or 1
+
+    def member(self, number: int) -> Self:
+        """One drone of the population, counted from ``drone`` on.
+
+        After the last one they come again, with another seed of their constants. Without a
+        population every drone has another seed.
+        """
+        number += self.drone
+        seed = self.constants.seed + number // self.size
+        own = with_value(self.replace(population={}, drone=0), "constants.seed", seed)
+        for key, values in self.population.items():
+            with prefixed(f"population.{key}"):
+                value_at(self, key)  # or an error
+                own = with_value(own, key, values[number % self.size])
+        return own
 
 
 NO_EFFECTS = EffectsConfig(**dict.fromkeys(EffectsConfig.model_fields, 0.0))

@@ -4,6 +4,10 @@ Each function returns an *addition* to the nominal force or moment, or to a stat
 full strength. World NED, body FRD; forces are specific.
 """
 
+import functools
+import operator
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 
@@ -159,7 +163,7 @@ def vibration(imu: ImuConfig, hover: jax.Array, rpm: Rotors, phase: Rotors) -> t
 
 
 def rotor_rates(
-    tau: Scalar, lag: Scalar, rpm: Rotors, rpm_rate: Rotors, target: Rotors
+    tau: Scalar, slowing: Scalar, lag: Scalar, rpm: Rotors, rpm_rate: Rotors, target: Rotors
 ) -> tuple[Rotors, Rotors]:
     """First and second derivative of the propeller speeds, rpm/s and rpm/s^2.
 
@@ -171,13 +175,16 @@ def rotor_rates(
 
     Args:
         tau: () s, the first time constant.
+        slowing: () factor on it while the target is below the speed. A controller drives a motor
+            in speeding up, air and friction slow it down.
         lag: () s, the second one; 0: first order.
         rpm: propeller speeds, rpm.
         rpm_rate: their derivatives, of second-order motors, rpm/s.
         target: the steady speeds ``u`` of a command, rpm.
     """
     second_order = lag > 0.0
-    first = (target - rpm) / tau
+    lags = jax.tree.map(lambda u, w: jnp.where(u < w, tau * slowing, tau), target, rpm)
+    first = (target - rpm) / lags
     bend = (first - rpm_rate) / jnp.where(second_order, lag, 1.0)
     return (
         jax.tree.map(lambda a, b: jnp.where(second_order, a, b), rpm_rate, first),
@@ -196,3 +203,13 @@ def steady_speeds(command: Rotors, shortfall: Scalar, hover: Scalar, top: Scalar
     """
     reached = command - (command - hover) * shortfall
     return jax.tree.map(lambda u: jnp.minimum(u, top), reached)
+
+
+def delayed(line: Sequence[Rotors], delay: jax.Array) -> Rotors:
+    """The command of ``delay`` () samples ago, between two samples as on the line between them.
+
+    The last of ``line`` is that of now.
+    """
+    weights = (jnp.maximum(1.0 - jnp.abs(age - delay), 0.0) for age in range(len(line)))
+    parts = [u * weight for u, weight in zip(reversed(line), weights, strict=True)]
+    return functools.reduce(operator.add, parts)

@@ -35,7 +35,7 @@ from quadjax.core import quaternion
 from quadjax.core.materialize import materializing
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Mat3, Vec3, apply, skew
-from quadjax.plant.config import SensorsConfig
+from quadjax.plant.sensor_config import SensorsConfig
 from quadjax.plant.sensors import Fix, Measured, low_pass_delay
 
 POSE = (0, 1, 2, 6, 7, 8)  # the errors that a pose measures: position and attitude

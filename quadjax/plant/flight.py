@@ -42,6 +42,9 @@ class Plan(struct.PyTreeNode):
     laps: int = struct.field(pytree_node=False)
     runs: int = struct.field(pytree_node=False)  # independent drones
     recorded: int = struct.field(pytree_node=False)  # runs, the first ones, whose frames are kept
+    # Which leaves of plant and onboard differ among the runs: (.., runs), with those of the drone
+    # that each run flies.
+    differ: tuple[bool, ...] = struct.field(pytree_node=False)
 
 
 class Drones(struct.PyTreeNode):
@@ -64,11 +67,21 @@ class Frame(struct.PyTreeNode):
     over: jax.Array  # () bool, before the step
 
 
+def axes(plan: Plan) -> Plan:
+    """The axis of each leaf of a plan along which it has one entry for each run; or None."""
+    own = (plan.plant, plan.onboard)
+    differ = [-1 if differs else None for differs in plan.differ]
+    plant, onboard = jax.tree.unflatten(jax.tree.structure(own), differ)
+    return plan.replace(plant=plant, onboard=onboard, race=None, pilot=None, charge=None)
+
+
 @jax.jit
 def begin(plan: Plan, key: jax.Array) -> Drones:
     """Drones in hover at the last gate, with drawn batteries, gusts and sensors."""
 
-    def one(draws: jax.Array, charge: jax.Array) -> tuple[RaceState, PlantState, OnboardState]:
+    def one(
+        plan: Plan, draws: jax.Array, charge: jax.Array
+    ) -> tuple[RaceState, PlantState, OnboardState]:
         body = hover(motor.MODEL, plan.plant.vehicle.constants, plan.race.track)
         low, high = plan.charge
         left = low + (high - low) * charge
@@ -82,7 +95,8 @@ def begin(plan: Plan, key: jax.Array) -> Drones:
     count = gusts.START_DRAWS + sensors.START_DRAWS
     draws = jax.random.normal(of_noise, (count, plan.runs))
     charge = jax.random.uniform(of_charge, (plan.runs,))
-    race, state, computers = jax.vmap(one, in_axes=-1, out_axes=-1)(draws, charge)
+    start = jax.vmap(one, in_axes=(axes(plan), -1, -1), out_axes=-1)
+    race, state, computers = start(plan, draws, charge)
     return Drones(laps.begin(race, plan.laps), state, computers)
 
 
@@ -127,7 +141,7 @@ def hold(
     Returns:
         The drones, and the rpm commands of the step's last sample.
     """
-    advance = jax.vmap(sample, (None, -1, -1, -1), -1)
+    advance = jax.vmap(sample, (axes(plan), -1, -1, -1), -1)
 
     def one(drones: Drones, key: jax.Array) -> tuple[Drones, Rotors]:
         draws = jax.random.normal(key, (onboard.DRAWS, plan.runs))
@@ -174,10 +188,21 @@ def advance(plan: Plan, steps: int, drones: Drones, key: jax.Array) -> tuple[Dro
         command = command_of(plan.race, action)
         following, rotors = hold(plan, drones, command, of_plant)
         recorded = jax.tree.map(lambda x: x[..., : plan.recorded], (drones, command, rotors))
-        frame = jax.vmap(frame_of, (None, -1, -1, -1), -1)(plan, *recorded)
+        frame = jax.vmap(frame_of, (axes(plan), -1, -1, -1), -1)(first_runs(plan), *recorded)
         return jax.vmap(remember, (-1, 0), -1)(following, action), frame
 
     return jax.lax.scan(control, drones, jax.random.split(key, steps))
+
+
+def first_runs(plan: Plan) -> Plan:
+    """The plan of the recorded runs."""
+    own, structure = jax.tree.flatten((plan.plant, plan.onboard))
+    cut = [
+        leaf[..., : plan.recorded] if differs else leaf
+        for leaf, differs in zip(own, plan.differ, strict=True)
+    ]
+    plant, onboard = jax.tree.unflatten(structure, cut)
+    return plan.replace(plant=plant, onboard=onboard)
 
 
 def frame_of(plan: Plan, drones: Drones, command: Rotors | RateCommand, rotors: Rotors) -> Frame:

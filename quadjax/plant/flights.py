@@ -19,6 +19,7 @@ from quadjax.plant.config import PlantConfig
 from quadjax.plant.flight import Frame, Plan, advance, begin
 from quadjax.plant.onboard import onboard_params
 from quadjax.plant.plant import build_plant, nominal_vehicle
+from quadjax.plant.population import shared_or_stacked
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import fit_race, make_pilot
 from quadjax.policy.race import own_race, race_of_policy, warn_of_other_race
@@ -57,6 +58,7 @@ def plan_race(
     runs: int = 100,
     recorded: int = 5,
     deterministic: bool = True,
+    drones: int = 1,
 ) -> Plan:
     """Flights of a policy on the plant.
 
@@ -69,21 +71,33 @@ def plan_race(
         runs: number of independent drones.
         recorded: runs whose frames are kept.
         deterministic: apply the mean action rather than samples.
+        drones: of the plant, each with as many of the runs: run ``i`` flies drone ``i % drones``.
 
     Raises:
         InputError: a policy that does not fit or is of another drone, or files that cannot be
             read.
     """
+    assert runs % drones == 0, (runs, drones)
     choices, params = fit_race(*race_of(race_config(config, policy)), policy, name)
     params = exact_rules(choices.model, params)
     check_drone(plant, config.vehicle)
     model = make_vehicle(config.replace(vehicle=config.vehicle.with_model("motor")))
     first_limit = None if params.battery is None else middle_limit(params.battery)
     low, high = plant.battery.charge
+    flown = [plant.member(number) for number in range(drones)]
+    bodies = [build_plant(drone) for drone in flown]
+    waiting = max(body.commands_waiting for body in bodies)
+    (own, onboard), differ = shared_or_stacked(
+        [
+            (body.replace(commands_waiting=waiting), onboard_params(drone, model, first_limit))
+            for body, drone in zip(bodies, flown, strict=True)
+        ],
+        runs,
+    )
     return Plan(
-        plant=build_plant(plant),
+        plant=own,
         race=params,
-        onboard=onboard_params(plant, model, first_limit),
+        onboard=onboard,
         pilot=make_pilot(choices, params, policy, deterministic),
         charge=(jnp.float32(low), jnp.float32(high)),
         choices=choices,
@@ -93,6 +107,7 @@ def plan_race(
         laps=lap_count,
         runs=runs,
         recorded=min(recorded, runs),
+        differ=differ,
     )
 
 

@@ -147,23 +147,24 @@ def allocate(params: IndiParams, rpm: Rotors, wanted: Vec3, rise: jax.Array) -> 
     roll = wanted.x * c.i_xx / (8.0 * c.k_p * lag)
     pitch = wanted.y * c.i_yy / (8.0 * c.k_q * lag)
     turn = Rotors(*(a * roll + b * pitch for a, b in zip(ROLL, PITCH, strict=True)))
-    turn = turn * _turn_scale(turn, low, high)
-    lift = jnp.clip(rise / (8.0 * c.k_w), _max(low - turn), -_max(turn - high))
+    turn = turn * turn_scale(turn, low, high)
+    lift = jnp.clip(rise / (8.0 * c.k_w), highest(low - turn), -highest(turn - high))
     base = turn + lift
     slowness = jax.tree.map(lambda w: 1.0 / w, speed)
     coupled = total(YAW, base * slowness)
     yaw = (wanted.z * (c.i_zz / c.k_r2) - coupled) / sum(slowness.components())
     added = Rotors(*(sign * yaw for sign in YAW))
-    x = base + added * _added_scale(base, added, low, high)
+    x = base + added * added_scale(base, added, low, high)
     commands = rpm + x * slowness * c.tau
     return jax.tree.map(lambda u: jnp.clip(u, c.rpm_min, c.rpm_max), commands)
 
 
-def _max(values: Rotors) -> jax.Array:
+def highest(values: Rotors) -> jax.Array:
+    """The highest () of four numbers."""
     return functools.reduce(jnp.maximum, values.components())
 
 
-def _turn_scale(turn: Rotors, low: Rotors, high: Rotors) -> jax.Array:
+def turn_scale(turn: Rotors, low: Rotors, high: Rotors) -> jax.Array:
     """Largest factor () on a turn that fits within the limits for some thrust."""
     fraction = jnp.ones_like(turn.w1)
     for i in range(4):
@@ -175,14 +176,14 @@ def _turn_scale(turn: Rotors, low: Rotors, high: Rotors) -> jax.Array:
     return fraction
 
 
-def _added_scale(base: Rotors, added: Rotors, low: Rotors, high: Rotors) -> jax.Array:
+def added_scale(base: Rotors, added: Rotors, low: Rotors, high: Rotors) -> jax.Array:
     """Largest factor () on ``added`` such that ``base`` plus it fits within the limits."""
     fraction = jnp.ones_like(base.w1)
-    for b, d, lowest, highest in zip(
+    for b, d, bottom, top in zip(
         base.components(), added.components(), low.components(), high.components(), strict=True
     ):
         # Rounding may leave ``base`` just beyond a limit.
-        room = jnp.maximum(jnp.where(d > 0.0, highest - b, b - lowest), 0.0)
+        room = jnp.maximum(jnp.where(d > 0.0, top - b, b - bottom), 0.0)
         size = jnp.abs(d)
         tight = size > room
         fraction = jnp.where(

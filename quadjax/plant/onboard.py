@@ -9,12 +9,14 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core import quaternion
+from quadjax.core.errors import InputError
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.plant import ekf, gusts, indi, plant, sensors
+from quadjax.plant import ekf, gusts, indi, indi_simple, plant, sensors
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.ekf import EkfParams, EkfState, ekf_params
 from quadjax.plant.indi import IndiParams, IndiState
+from quadjax.plant.indi_simple import SimpleParams, SimpleState
 from quadjax.plant.plant import PlantParams, PlantState, nominal_vehicle
 from quadjax.plant.sensors import GroundTruth, Measured, SensorParams, SensorState
 from quadjax.vehicle import battery, motor
@@ -34,7 +36,7 @@ class OnboardParams(struct.PyTreeNode):
     sensors: SensorParams
     ekf: EkfParams
     estimator: EstimatorParams  # with the onboard model of the drone
-    inner: IndiParams
+    inner: IndiParams | SimpleParams
     limit: LimitEstimatorParams  # of the battery's limit
     first_limit: jax.Array  # rpm, its first estimate
     navigation: str = struct.field(pytree_node=False, default="ekf")  # ekf, ground_truth
@@ -60,7 +62,7 @@ class OnboardState(struct.PyTreeNode):
     sensors: SensorState | None
     ekf: EkfState | None
     estimator: EstimatorState
-    inner: IndiState
+    inner: IndiState | SimpleState
     limit: LimitEstimatorState
     estimate: StateEstimate
 
@@ -83,12 +85,35 @@ def onboard_params(
         sensors=sensors.sensor_params(config.sensors, rate),
         ekf=ekf_params(config.sensors, rate, float(c.g)),
         estimator=estimator_params(motor.MODEL, model, rate),
-        inner=indi.indi_params(nominal_vehicle(config).motor, config.indi, rate),
+        inner=inner_params(config),
         limit=battery.limit_estimator(c.rpm_max, c.tau, rate),
         first_limit=jnp.asarray(c.rpm_max if first_limit is None else first_limit, jnp.float32),
         navigation=config.navigation,
         disturbance=config.disturbance,
     )
+
+
+def inner_params(config: PlantConfig) -> IndiParams | SimpleParams:
+    """The inner loop of a plant, with what it does not say from its vehicle's model.
+
+    Raises:
+        InputError: an effectiveness of another drone.
+    """
+    rate, c, highest = config.sample_rate, nominal_vehicle(config).motor, config.motors.rpm_max
+    highest = highest or float(c.rpm_max)
+    if config.inner_loop == "indi":
+        return indi.indi_params(c.replace(rpm_max=highest), config.indi, rate)
+    numbers = config.indi_simple
+    effectiveness, thrust_gain = indi_simple.nominal_effectiveness(c, highest, rate)
+    given = numbers.effectiveness or effectiveness
+    if not 0.5 < given[0] / effectiveness[0] < 2.0:
+        raise InputError(
+            f"indi_simple.effectiveness is {list(given)}, but the model of {config.vehicle} has "
+            f"{effectiveness[0]:.3g} in roll: null takes those of the model"
+        )
+    gain = numbers.thrust_gain or thrust_gain
+    numbers = numbers.replace(effectiveness=given, thrust_gain=gain)
+    return indi_simple.simple_params(c, numbers, highest, rate)
 
 
 def begin(
@@ -102,7 +127,8 @@ def begin(
         filtered = ekf.init(params.ekf, measured)
     now = _estimate(params, truth, measured, filtered)
     estimated = disturbance.init(params.estimator, now.measurement)
-    inner = indi.init(params.inner, now.measurement)
+    loop = indi_simple if isinstance(params.inner, SimpleParams) else indi
+    inner = loop.init(params.inner, now.measurement)
     limit = battery.begin(params.limit, now.measurement.rpm, params.first_limit)
     line = (truth,) * body.measurement_delay
     return OnboardState(line, sensor_state, filtered, estimated, inner, limit, now)
@@ -180,5 +206,6 @@ def command_rotors(
     """Rpm commands of a policy's command: the command itself, or the inner loop's."""
     if isinstance(command, Rotors):
         return onboard, command
-    inner, rotors = indi.update(params.inner, onboard.inner, onboard.estimate.measurement, command)
+    loop = indi_simple if isinstance(params.inner, SimpleParams) else indi
+    inner, rotors = loop.update(params.inner, onboard.inner, onboard.estimate.measurement, command)
     return onboard.replace(inner=inner), rotors

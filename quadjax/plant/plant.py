@@ -4,6 +4,8 @@ Functions are of one drone; batch with ``vmap``. Each effect is multiplied by it
 of them zero the derivative is that of ``quadjax.vehicle.motor``.
 """
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +19,7 @@ from quadjax.core.resources import CONFIGS
 from quadjax.core.traced import as_leaves
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts
-from quadjax.plant.airframe import Airframe, airframe_force_moment, draw_airframe
+from quadjax.plant.airframe import Airframe, airframe_force_moment, make_airframe
 from quadjax.plant.config import (
     EffectsConfig,
     FlexConfig,
@@ -48,7 +50,7 @@ class PlantParams(struct.PyTreeNode):
     vehicle: VehicleParams  # the drone's own constants
     rotor_factor: Rotors  # on each rotor's speed in force and moment
     effects: EffectsConfig  # their strengths
-    airframe: Airframe | None  # its deviations; None: as the model
+    airframe: Airframe | None  # its measured deviations; None: as the model
     rotors: RotorConfig
     motors: MotorsConfig
     flex: FlexConfig
@@ -56,9 +58,11 @@ class PlantParams(struct.PyTreeNode):
     gusts: GustsConfig
     battery: BatteryParams
     mass: jax.Array  # kg
+    lightness: jax.Array  # () mass of the vehicle file over that of the drone
     hover: jax.Array  # rpm, of the training model
     step: jax.Array  # s, of one sample
-    command_delay: int = struct.field(pytree_node=False, default=0)  # samples
+    command_delay: jax.Array  # () samples, at most commands_waiting
+    commands_waiting: int = struct.field(pytree_node=False, default=0)
     measurement_delay: int = struct.field(pytree_node=False, default=0)  # samples
 
 
@@ -92,7 +96,7 @@ def nominal_vehicle(config: PlantConfig) -> VehicleFile:
 
 
 def filled(config: PlantConfig) -> PlantConfig:
-    """The config with mass and propeller radius from its vehicle where they are not set.
+    """The config with mass, propeller radius and highest speed from its vehicle, if not set.
 
     The radius follows from the vehicle's thrust and the Bebop 1's thrust coefficient, 0.13.
 
@@ -106,7 +110,11 @@ def filled(config: PlantConfig) -> PlantConfig:
     assert bebop.mass is not None
     thrust = mass * vehicle.motor.k_w / (bebop.mass * bebop.motor.k_w)  # relative to the Bebop's
     radius = config.rotors.radius or BEBOP_RADIUS * thrust**0.25
-    return config.replace(mass=mass, rotors=config.rotors.replace(radius=radius))
+    motors = config.motors.replace(
+        tau=config.motors.tau or float(vehicle.motor.tau),
+        rpm_max=config.motors.rpm_max or float(vehicle.motor.rpm_max),
+    )
+    return config.replace(mass=mass, rotors=config.rotors.replace(radius=radius), motors=motors)
 
 
 def build_plant(config: PlantConfig) -> PlantParams:
@@ -116,11 +124,14 @@ def build_plant(config: PlantConfig) -> PlantParams:
         InputError: a vehicle or residual file that cannot be read.
     """
     config = filled(config)
+    assert config.mass is not None
     residual = None if config.residual is None else read_residual(config.residual)
-    nominal = nominal_vehicle(config).motor
+    vehicle = nominal_vehicle(config)
+    nominal, own_mass = vehicle.motor, vehicle.mass
     factors, rotor_factors = drawn_factors(config)
+    own = nominal.replace(tau=config.motors.tau)
     drawn_constants = {
-        name: jnp.float32(getattr(nominal, name) * factor) for name, factor in factors.items()
+        name: jnp.float32(getattr(own, name) * factor) for name, factor in factors.items()
     }
     fixed = {name: jnp.float32(getattr(nominal, name)) for name in NOT_DRAWN}
     hover, effects, rate = hover_rpm(nominal), config.effects, config.sample_rate
@@ -128,7 +139,7 @@ def build_plant(config: PlantConfig) -> PlantParams:
         vehicle=VehicleParams(MotorConstants(**drawn_constants, **fixed), residual),
         rotor_factor=Rotors(*(jnp.float32(x) for x in rotor_factors)),
         effects=as_leaves(effects),
-        airframe=draw_airframe(config.airframe, config.constants.seed),
+        airframe=make_airframe(config.airframe),
         rotors=as_leaves(config.rotors),
         motors=as_leaves(config.motors),
         flex=as_leaves(config.flex),
@@ -136,9 +147,11 @@ def build_plant(config: PlantConfig) -> PlantParams:
         gusts=as_leaves(config.gusts),
         battery=battery_params(config.battery, hover, nominal.rpm_max, effects.battery),
         mass=jnp.float32(config.mass),
+        lightness=jnp.float32(1.0 if own_mass is None else own_mass / config.mass),
         hover=jnp.float32(hover),
         step=jnp.float32(1.0 / rate),
-        command_delay=round(config.delay.command * rate),
+        command_delay=jnp.float32(config.delay.command * rate),
+        commands_waiting=math.ceil(config.delay.command * rate),
         measurement_delay=round(config.delay.measurement * rate),
     )
 
@@ -164,7 +177,7 @@ def begin(
         body, jax.tree.map(jnp.zeros_like, body.actuators), Vec3.zero(), Vec3.zero(), charge
     )
     still, phase = Vec3.zero(), Rotors.of(jnp.zeros(4))
-    line = (body.actuators,) * params.command_delay
+    line = (body.actuators,) * params.commands_waiting
     return PlantState(physics, still, phase, gusts.init(draws), line)
 
 
@@ -177,6 +190,7 @@ def forces(
     """
     body, c, on = physics.body, params.vehicle.constants, params.effects
     mass, rpm = params.mass, body.actuators * params.rotor_factor
+    light = params.lightness
     in_air = BodyState(air_velocity, body.rates, rpm, rpm_rate)
     force, moment = motor.MODEL.force_moment(params.vehicle, in_air)
     lost = effects.advance_loss(params.rotors, c, air_velocity)
@@ -186,11 +200,10 @@ def forces(
     force = force.replace(z=force.z + (lost * on.inflow + lift * on.ground))
     moment = moment + flapping * on.flapping + turning * on.gyroscopic
     if params.airframe is None:
-        return force, moment
-    more_force, more_moment = airframe_force_moment(
-        params.airframe, params.rotors, c, mass, rpm, air_velocity
-    )
-    return force + more_force * on.airframe, moment + more_moment * on.airframe
+        return force * light, moment
+    more_z, more_moment = airframe_force_moment(params.airframe, rpm, air_velocity, body.rates)
+    force = force.replace(z=force.z + more_z * on.airframe_force)
+    return force * light, moment + more_moment * on.airframe_moment
 
 
 def derivative(
@@ -204,7 +217,12 @@ def derivative(
     top = highest_rpm(params.battery, body.actuators, physics.charge)
     target = effects.steady_speeds(command, on.motors * motors.shortfall, params.hover, top)
     rpm_rate, rpm_bend = effects.rotor_rates(
-        c.tau, on.motors * motors.lag, body.actuators, physics.rpm_rate, target
+        c.tau,
+        motors.slowing**on.motors,
+        on.motors * motors.lag,
+        body.actuators,
+        physics.rpm_rate,
+        target,
     )
     force, moment = call(forces, params, physics, rpm_rate, air_velocity)
     acceleration = body_to_world(a, force + body.force_ext)
@@ -245,9 +263,10 @@ def update(
         draws: (gusts.DRAWS,) standard normal numbers.
         call: calls a function; see ``quadjax.core.materialize``.
     """
-    low, high = motor.MODEL.command_range(params.vehicle.constants)
-    held = jax.tree.map(jnp.clip, command, low, high)
-    applied, *waiting = (*state.commands, held)
+    low, high = params.vehicle.constants.rpm_min, params.motors.rpm_max
+    held = jax.tree.map(lambda u: jnp.clip(u, low, high), command)
+    line = (*state.commands, held)
+    applied = effects.delayed(line, params.command_delay)
     wind = gusts.velocity(params.gusts, state.gusts) * params.effects.gusts
 
     def slope(physics: Physics) -> Physics:
@@ -264,7 +283,7 @@ def update(
         body.actuators,
     )
     following = gusts.update(params.gusts, state.gusts, body.velocity, params.step, draws)
-    return PlantState(physics.replace(body=body), turning, phase, following, tuple(waiting))
+    return PlantState(physics.replace(body=body), turning, phase, following, line[1:])
 
 
 def truth_of(params: PlantParams, state: PlantState) -> GroundTruth:

@@ -28,7 +28,7 @@ from quadjax.core.filters import LowPass, advance, butterworth
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.traced import as_leaves
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.plant.config import (
+from quadjax.plant.sensor_config import (
     AccelerometerConfig,
     GyroConfig,
     MocapConfig,

@@ -172,7 +172,12 @@ def _check_sizes(
         )
 
 
-def residual_of(vehicle: Vehicle, networks: Sequence[Path | str], sign: int | None) -> Residual:
+def residual_of(
+    vehicle: Vehicle,
+    networks: Sequence[Path | str],
+    sign: int | None,
+    rpm_range: tuple[float, float] | None = None,
+) -> Residual:
     """A residual from two networks with ReLU: PyTorch state dicts of linear layers, or C source.
 
     Args:
@@ -181,6 +186,7 @@ def residual_of(vehicle: Vehicle, networks: Sequence[Path | str], sign: int | No
             outputs; see ``quadjax.vehicle.residual``.
         sign: +1 if the first network's output is added to the body-z specific force, -1 if it is
             subtracted, as printed in the paper.
+        rpm_range: propeller speeds that enter as -1 and 1, if not those of the vehicle.
 
     Raises:
         InputError: a file that cannot be read, networks of other sizes, a vehicle without
@@ -190,7 +196,8 @@ def residual_of(vehicle: Vehicle, networks: Sequence[Path | str], sign: int | No
         raise InputError("--thrust-sign is missing, allowed: 1 (added) or -1 (subtracted)")
     if "rpm_min" not in vehicle.constants:
         raise InputError(f"vehicle.model is {vehicle.model}, expected motor")
-    meta = {key: vehicle.constants[key] for key in ("rpm_min", "rpm_max")} | {"thrust_sign": sign}
+    low, high = rpm_range or (vehicle.constants[key] for key in ("rpm_min", "rpm_max"))
+    meta = {"rpm_min": low, "rpm_max": high, "thrust_sign": sign}
     arrays: dict[str, np.ndarray] = {}
     for name, path in zip(("thrust", "moment"), networks, strict=True):
         network = read_network(path)

@@ -65,6 +65,15 @@ class Laps:
         """Number of laps that each run completed, (runs,)."""
         return np.isfinite(self.lap_times).sum(axis=1)
 
+    def ordered(self, runs: np.ndarray) -> "Laps":
+        """The runs of these numbers (n,), in this order."""
+        return dataclasses.replace(
+            self,
+            lap_times=self.lap_times[runs],
+            crashes=tuple(self.crashes[run] for run in runs),
+            seconds=self.seconds[runs],
+        )
+
     def to_json(self) -> dict[str, object]:
         """The result as JSON takes it: ``null`` for laps that were not completed.
 

@@ -78,7 +78,7 @@ def train_and_fly(
         folder / ("policy.npz" if settings.policy == "best" else "policy_last.npz"),
         race,
         plant=settings.plant,
-        plants=None if settings.plant is None else settings.plants,
+        drones=None if settings.plant is None else settings.drones,
         runs=settings.runs,
         deterministic=settings.deterministic,
         seed=FLIGHT_SEED,

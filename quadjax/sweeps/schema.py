@@ -104,7 +104,7 @@ class Objective(Section):
         max_length=4096,
         description="evaluate on this stand-in plant: a file or a name of configs/plant",
     )
-    plants: int = Field(
+    drones: int = Field(
         4, ge=1, le=1000, description="drones drawn from it, which share the runs equally"
     )
 
@@ -158,14 +158,14 @@ class SweepFile(Section):
             allowed = "journal, or the URL of a database, such as sqlite:///FILE"
             value = "***" if "@" in self.storage else self.storage  # it may contain a password
             raise ValueError(f"storage is {value!r}, allowed: {allowed}")
-        plant, plants, runs = self.objective.plant, self.objective.plants, self.objective.runs
-        if plant is not None and runs % plants:
-            allowed = f"multiples of objective.plants ({plants})"
+        plant, drones, runs = self.objective.plant, self.objective.drones, self.objective.runs
+        if plant is not None and runs % drones:
+            allowed = f"multiples of objective.drones ({drones})"
             raise ValueError(f"objective.runs is {runs}, allowed: {allowed}")
         if plant is not None and self.conditions:
             raise ValueError("conditions: allowed: none with objective.plant")
-        if plant is None and plants != Objective().plants:
-            raise ValueError(f"objective.plants is {plants}, allowed: only with objective.plant")
+        if plant is None and drones != Objective().drones:
+            raise ValueError(f"objective.drones is {drones}, allowed: only with objective.plant")
         if self.search.method == "grid" and self.search.base_first:
             raise ValueError("search.base_first is true, allowed: false for a grid")
         return self

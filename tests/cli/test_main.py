@@ -65,7 +65,7 @@ SHOWN = {
     "e2e.npz": "network 24-64-64-64-4, relu",
     "figure8": "figure8: 6 gates, a lap of",
     "bebop1": "Parrot Bebop 1",
-    "rough effects.gusts=0.5": "  gusts: 0.5\n",
+    "cyberzoo effects.ground=0.5": "  ground: 0.5\n",
     "standin": "control_rate: 500",
     f"{ROOT}/configs/fit/standin.yaml": "  files: [runs/standin_logs/*.csv]\n",
 }
@@ -104,8 +104,8 @@ def test_a_warning_is_printed_once_for_each_text(capsys):
 
 
 IN_THE_TYPE = """
-evaluate e2e --policy e2e --plants 1001
-evaluate e2e --policy e2e --plants 3 --runs 4
+evaluate e2e --policy e2e --drones 1001
+evaluate e2e --policy e2e --drones 3 --runs 4
 evaluate e2e --policy e2e --body 0
 evaluate e2e --policy e2e --range position=8
 evaluate e2e --policy e2e --fixed-point --range position=3

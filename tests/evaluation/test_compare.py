@@ -14,10 +14,8 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError, InputWarning
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation import report
-from quadjax.evaluation.plants import drawn
 from quadjax.evaluation.rows import Row, concatenate
 from quadjax.flights.flight import Flight, Signal
-from quadjax.plant.config import PlantConfig
 from quadjax.training.build import untrained_policy
 from tests.commands import run
 from tests.evaluation.support import flights
@@ -79,7 +77,7 @@ def test_the_table_of_plants_is_of_the_flights_that_both_finish():
     e2e, indi = on_plants((2.5, np.nan), (np.nan, np.nan)), on_plants((2.4, 3.0), (3.0, 3.0))
     text, numbers = compare.plants_table(e2e, indi)
     assert "all effects 15.00 1/4 14.40 4/4" in " ".join(text.split())
-    assert "all effects: both finish 1 of 4 flights, on 1 of 2 plants" in text
+    assert "all effects: both finish 1 of 4 flights, on 1 of 2 drones" in text
     assert "all effects, on the 1 of 4 flights that both finish: -0.60 s; first lap -0.10 s" in text
     found = numbers["INDI"]["all effects"]
     assert found["mean"] == pytest.approx(14.4) and found["each plant"][1] is None
@@ -121,12 +119,6 @@ def test_a_race_of_neither_is_told_once_of_each(part, tmp_path, capsys, monkeypa
     assert "error: stopped" in error and error.count("trained in another race") == 2
 
 
-def test_drawn_plants_differ_in_their_constants_only():
-    first, second = drawn(PlantConfig(), 2)
-    assert first == PlantConfig() and second.constants.seed == first.constants.seed + 1
-    assert second.replace(constants=first.constants) == first
-
-
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: f"{v.group} {v.label}")
 def test_policies_of_the_ablation_can_be_trained(variant, monkeypatch):
     monkeypatch.chdir(ROOT)
@@ -139,10 +131,10 @@ def test_policies_of_the_ablation_can_be_trained(variant, monkeypatch):
 @pytest.mark.slow
 def test_the_command_flies_draws_and_writes(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(report, "FORMATS", ("png",))  # test_report.py writes every format
-    options = ["--runs", 2, "--laps", 1, "--plants", 2, "--conditions", "all effects"]
+    options = ["--runs", 2, "--laps", 1, "--drones", 2, "--conditions", "all effects"]
     assert run("compare", "standin", *options, "--output", tmp_path) == 0
     text = capsys.readouterr().out
-    assert "E2E simulated" in text and "2 drawn plants" in text
+    assert "E2E simulated" in text and "2 drawn drones" in text
     written = json.loads((tmp_path / "compare" / "compare.json").read_text())
     assert written["INDI"]["stand-in plant"]["finished"] == 2
     assert written["plants"]["E2E"]["all effects"]["runs"] == 2

@@ -269,10 +269,10 @@ def plants_flown(monkeypatch):
 
 @pytest.mark.slow
 def test_every_drawn_plant_has_its_own_noise_and_its_share_of_the_runs(plants_flown):
-    numbers = {"plants": 2, "runs": 4, "laps": 1, "seed": 7}
+    numbers = {"drones": 2, "runs": 4, "laps": 1, "seed": 7}
     flown = quadjax.evaluate("e2e", "e2e", plant="standin", **numbers)
-    assert plants_flown == [(7, 2), (8, 2)]
-    assert (flown.row.plants, flown.row.runs, len(flown.row.plant_totals)) == (2, 4, 2)
+    assert plants_flown == [(7, 4)]
+    assert (flown.row.drones, flown.row.runs, len(flown.row.drone_totals)) == (2, 4, 2)
     assert flown.best["motor_command"].shape == (len(flown.best.time), 4)
 
 

@@ -45,7 +45,7 @@ def test_the_limit_of_indi_is_the_fastest_with_which_every_flight_finishes(
     tmp_path, logged, lowest
 ):
     Flown.tried.clear()
-    drone = Flown("rough", 1, tmp_path, round(10 * logged))
+    drone = Flown("cyberzoo", 1, tmp_path, round(10 * logged))
     assert [drone.tune(seed) for seed in (0, 1)] == ["INDI, T 18", "INDI, T 14"]
     assert {limit for limit, seed in Flown.tried if seed == 0} == set(range(lowest, 21))
     assert {limit for limit, seed in Flown.tried if seed == 1} == {14, 18}

@@ -10,17 +10,15 @@ from scipy.spatial.transform import Rotation
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import ekf, sensors
-from quadjax.plant.config import (
-    NO_EFFECTS,
+from quadjax.plant.config import NO_EFFECTS, PlantConfig, without_effects
+from quadjax.plant.ekf import EkfParams, InertialSample, MotionEstimate, ekf_params
+from quadjax.plant.sensor_config import (
     AccelerometerConfig,
     GyroConfig,
     MocapConfig,
-    PlantConfig,
     RpmConfig,
     SensorsConfig,
-    without_effects,
 )
-from quadjax.plant.ekf import EkfParams, InertialSample, MotionEstimate, ekf_params
 from quadjax.plant.sensors import GroundTruth
 from tests.plant import reference
 from tests.plant.reference import Nominal

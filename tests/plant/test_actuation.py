@@ -26,7 +26,7 @@ def test_motors_answer_in_second_order():
         w, rate = carry
         u = Rotors.same(jnp.float32(8000.0))
         target = effects.steady_speeds(u, jnp.float32(short), hover, jnp.inf)
-        a, b = effects.rotor_rates(jnp.float32(tau), jnp.float32(lag), w, rate, target)
+        a, b = effects.rotor_rates(jnp.float32(tau), 1.0, jnp.float32(lag), w, rate, target)
         following = (w + a * dt, rate + b * dt)
         return following, following[0].w1
 
@@ -40,6 +40,21 @@ def test_motors_answer_in_second_order():
     early = time < 0.01
     assert np.all(flown[early] < first[early])  # later than the model, and never quite there
     assert short > 0 and flown[-1] < 8000.0 - 5.0
+
+
+def test_motors_that_brake_less_than_they_drive_are_slower_in_slowing_down():
+    at, still = Rotors(*np.float32([7000, 7000, 7000, 7000])), Rotors.same(np.float32(0.0))
+    target = Rotors(*np.float32([8000, 6000, 7000, 5000]))
+    rates, _ = effects.rotor_rates(0.05, 2.0, np.float32(0.0), at, still, target)
+    np.testing.assert_allclose(rates.array(), [20000, -10000, 0, -20000], rtol=1e-6)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 2.0, 1.25])
+def test_a_command_arrives_after_its_delay(delay):
+    """Between two samples it is on the line between the two commands."""
+    past = np.float32([500.0, 900.0, 700.0, 400.0])  # the oldest first
+    found = effects.delayed([Rotors.same(u) for u in past], jnp.float32(delay))
+    assert float(found.w3) == pytest.approx(np.interp(3.0 - delay, range(4), past))
 
 
 def test_the_battery_lowers_what_can_be_reached():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from quadjax.plant.config import MocapConfig, SensorsConfig
+from quadjax.plant.sensor_config import MocapConfig, SensorsConfig
 from tests.plant.support import NO_ERRORS, ONLY_LATE, correlation, filtered, loop
 
 pytestmark = pytest.mark.slow

@@ -4,8 +4,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadjax.plant import ekf
-from quadjax.plant.config import SensorsConfig
 from quadjax.plant.ekf import ekf_params
+from quadjax.plant.sensor_config import SensorsConfig
 from quadjax.plant.sensors import Fix
 from tests.plant import reference
 from tests.plant.support import (

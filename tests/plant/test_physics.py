@@ -81,7 +81,7 @@ def test_a_residual_is_an_effect():
 
 def test_the_plants_forces_have_its_airframe_and_its_residual(rows):
     """Each adds what its function gives, by the speeds that the drone's rotors act with."""
-    rough = load_plant_config("rough")
+    zoo = load_plant_config("cyberzoo").replace(population={})
     physics = jax.tree.map(lambda x: x[0], physics_of(rows))
     air, still = Vec3(*np.float32([3.0, -2.0, 1.0])), Rotors.same(np.float32(0.0))
     residual = read_residual("standin_residual.npz")
@@ -92,20 +92,31 @@ def test_the_plants_forces_have_its_airframe_and_its_residual(rows):
         return np.concatenate([(a - b).array() for a, b in pairs])
 
     for strength in (1.0, 0.5, 0.0):
-        params = build_plant(rough.replace(effects=rough.effects.replace(airframe=strength)))
+        on = zoo.effects.replace(airframe_force=strength, airframe_moment=2.0 * strength)
+        params = build_plant(zoo.replace(effects=on))
         rpm = physics.body.actuators * params.rotor_factor
-        force, moment = airframe_force_moment(
-            params.airframe, params.rotors, params.vehicle.constants, params.mass, rpm, air
-        )
-        expected = strength * np.concatenate([force.array(), moment.array()])
+        force, moment = airframe_force_moment(params.airframe, rpm, air, physics.body.rates)
+        expected = strength * np.concatenate([[0.0, 0.0, force], 2.0 * moment.array()])
         np.testing.assert_allclose(
             added(params, params.replace(airframe=None)), expected, rtol=1e-3, atol=2e-5
         )
     force_z, moment = residual_force_moment(residual, rpm, air, physics.body.rates)
-    params = build_plant(rough.replace(residual="standin_residual.npz"))
+    params = build_plant(zoo.replace(effects=on, residual="standin_residual.npz"))
     expected = np.concatenate([[0.0, 0.0, force_z], moment.array()])
     assert abs(force_z) > 0.01
-    np.testing.assert_allclose(added(params, build_plant(rough)), expected, rtol=1e-3, atol=2e-5)
+    without = build_plant(zoo.replace(effects=on))
+    np.testing.assert_allclose(added(params, without), expected, rtol=1e-3, atol=2e-5)
+
+
+def test_a_load_makes_all_forces_smaller_but_no_moment(rows):
+    physics = jax.tree.map(lambda x: x[0], physics_of(rows))
+    air, still = Vec3(*np.float32([3.0, -2.0, 1.0])), Rotors.same(np.float32(0.0))
+    light, loaded = (
+        jax.jit(plant.forces)(build_plant(OFF.replace(mass=mass)), physics, still, air)
+        for mass in (None, 1.1 * 0.389)
+    )
+    np.testing.assert_allclose(light[0].array() / 1.1, loaded[0].array(), rtol=1e-5)
+    np.testing.assert_allclose(light[1].array(), loaded[1].array(), rtol=1e-5)
 
 
 def test_mass_propellers_and_battery_of_another_drone_are_those_of_its_file(tmp_path):

@@ -9,7 +9,7 @@ from scipy.stats import norm
 from quadjax.core.quaternion import of_euler
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import sensors
-from quadjax.plant.config import (
+from quadjax.plant.sensor_config import (
     AccelerometerConfig,
     GyroConfig,
     MocapConfig,

@@ -48,3 +48,33 @@ def test_the_authors_policies_fly_the_times_of_table_1(tmp_path, capsys, files, 
     assert result["finished"] == result["runs"] == 20 and not result["deterministic"]
     assert np.mean(result["totals"]) == pytest.approx(row.total, abs=0.1)
     assert row.policy in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("files", "trained", "model"),
+    [
+        (
+            [*E2E, *RESIDUAL, "--thrust-sign", 1, "--residual-range", 3000, 12000],
+            "e2e_paper +authors_code",
+            "motor",
+        ),
+        (INDI, "indi_table1", "rate"),
+    ],
+    ids=["E2E", "INDI"],
+)
+def test_on_cyberzoo_the_authors_policies_fly_as_on_the_real_drone(
+    tmp_path, capsys, files, trained, model
+):
+    """Total, first lap and what finishes of 40 flights on 20 drones."""
+    out, laps = tmp_path / "policy.npz", tmp_path / "laps.json"
+    assert run("import", *trained.split(), *files, "--output", out) == 0
+    race = ["e2e_table1", f"vehicle.residual={out}"] if model == "motor" else ["indi_table1"]
+    on_plant = ("--plant", "cyberzoo", "--drones", 20, "--runs", 40, "--seed", 77)
+    assert run("evaluate", *race, "--policy", out, *on_plant, "--json", laps) == 0
+    result, real = json.loads(laps.read_text()), table_1.FLOWN[model]
+    assert result["finished"] >= 34 and result["runs"] == 40
+    finished = np.array([each for each in result["laps"] if None not in each], float)
+    assert finished.sum(axis=1).mean() == pytest.approx(real.total, abs=0.3)
+    assert finished[:, 0].mean() == pytest.approx(real.lap_means[0], abs=0.1)
+    assert real.policy in capsys.readouterr().out

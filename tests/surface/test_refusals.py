@@ -125,7 +125,8 @@ evaluate e2e --policy e2e --conditions damage --only fog | damage: 'fog' modeled
 evaluate e2e --policy e2e --conditions spread --plant standin | plant hover
 evaluate e2e --policy e2e --only fog | --only --conditions
 evaluate e2e --policy e2e --plant standin --gates 5 | plant laps hover
-evaluate e2e --policy e2e --plants 3 --runs 4 | runs multiples (3)
+evaluate e2e --policy e2e --drones 2 | --drones effect --plant
+evaluate e2e --policy e2e --plant standin --drones 3 --runs 4 | runs multiples (3)
 evaluate track=figure8 --policy e2e | track=figure8 preset
 evaluate --flights nosuch.npz | nosuch.npz no such file --flights
 evaluate --flights A= | A=: expected LABEL=FILE
@@ -143,7 +144,7 @@ compare standin control_rate=300 | control_rate 300
 compare standin sample_rate=400 | sample_rate
 compare standin navigation=gps | navigation gps
 compare standin effects.flapping=-1 | effects.flapping -1
-compare standin 'airframe.speed_loss=[0.2, 0.1]' | [0.2, [lowest,
+compare standin 'airframe.limits={vx: [0.2, 0.1]}' | [0.2, [lowest,
 compare standin 'battery.charge=[1.0, 0.5]' | battery.charge
 compare standin indi.cutoff=400 | indi.cutoff 400
 compare standin sensors.mocap.rate=501 | 500 Hz

@@ -79,7 +79,7 @@ space: {learner.num_minibatches: {choices: [2, 4]}, learner.num_envs: {choices: 
 serach: {} | serach search
 search: {method: magic} | search.method magic tpe
 objective: {runs: 1000000000} | objective.runs
-objective: {runs: 10, plant: standin, plants: 3} | objective.runs 10 multiples (3)
+objective: {runs: 10, plant: standin, drones: 3} | objective.runs 10 multiples (3)
 objective: {plant: stanndin} | stanndin
 config: none.yaml | config none.yaml file
 storage: study.db | storage 'study.db' journal URL
@@ -368,13 +368,13 @@ def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
 def test_a_trial_is_evaluated_on_drawn_plants(tmp_path, monkeypatch):
     flown = []
 
-    def fly(policy, race, *, plant, plants, runs, **_):
-        flown.append((runs, plants, plant, race.vehicle.model))
+    def fly(policy, race, *, plant, drones, runs, **_):
+        flown.append((runs, drones, plant, race.vehicle.model))
         laps = flights(*[5.0, np.nan] * 3, laps=1)
         return SimpleNamespace(laps=laps, finished=laps.finished)
 
     monkeypatch.setattr("quadjax.evaluation.evaluate.evaluate", fly)
-    plant = {"seeds": 1, "runs": 6, "plant": "standin", "plants": 2}
+    plant = {"seeds": 1, "runs": 6, "plant": "standin", "drones": 2}
     sweep, directory, _ = open_small(tmp_path, objective=plant)
     params, folder = {CLIP: 0.2, RATE: 1e-3}, directory / "trials/0000/seed0"
     value = train_and_fly(sweep, params, 0, folder, lambda fraction, value: False)
