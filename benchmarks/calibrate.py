@@ -5,7 +5,7 @@ Both published networks fly on drones drawn from priors; docs/guide/other_traine
 what the simulated drones tell of others. Each round flies drones of the posterior so far, with a
 likelihood that counts more from round to round.
 
-    python -m benchmarks.calibrate E2E.npz INDI.npz --output runs/cyberzoo.npz
+    python -m benchmarks.calibrate E2E.npz INDI.npz --output benchmarks/cyberzoo.npz
 
 A round is written when it is done; the same command continues.
 """
@@ -53,7 +53,7 @@ def calibrate(
     output: Annotated[Path, options.Output((".npz",))],
     drones: Annotated[int, whole(16, CHAINS)] = 128,
     flights: Annotated[int, whole(4, 1000)] = 8,
-    rounds: Annotated[int, whole(1, 1000)] = 14,
+    rounds: Annotated[int, whole(1, 1000)] = 19,
     seed: int = 0,
 ) -> None:
     """Sample drones from the posterior."""

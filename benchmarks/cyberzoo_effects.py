@@ -1,6 +1,6 @@
 """Leave out each effect of ``cyberzoo``, alone and with all other numbers calibrated again.
 
-python -m benchmarks.cyberzoo_effects E2E.npz INDI.npz runs/cyberzoo.npz --output FILE.json
+python -m benchmarks.cyberzoo_effects E2E.npz INDI.npz benchmarks/cyberzoo.npz --output FILE.json
 """
 
 from pathlib import Path

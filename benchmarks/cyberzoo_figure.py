@@ -1,6 +1,6 @@
 """Figure of the posterior of ``benchmarks.calibrate``: each number in its prior, correlations.
 
-python -m benchmarks.cyberzoo_figure runs/cyberzoo.npz docs/images/cyberzoo.png
+python -m benchmarks.cyberzoo_figure benchmarks/cyberzoo.npz docs/images/cyberzoo.png
 """
 
 from pathlib import Path

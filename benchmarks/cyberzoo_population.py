@@ -1,6 +1,6 @@
 """Draw the drones of the plant ``cyberzoo`` from the posterior of ``benchmarks.calibrate``.
 
-python -m benchmarks.cyberzoo_population E2E.npz INDI.npz runs/cyberzoo.npz
+python -m benchmarks.cyberzoo_population E2E.npz INDI.npz benchmarks/cyberzoo.npz
 
 Draws of the posterior fly both policies again. Of those with which nine of ten flights finish, as
 no crash of the real drone is reported, the twenty that their own flights make likeliest are written
