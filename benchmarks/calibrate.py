@@ -16,7 +16,7 @@ from typing import Annotated
 
 import numpy as np
 
-from benchmarks.calibration_emulator import CHAINS, fitted, sampled
+from benchmarks.calibration_emulator import CHAINS, FORMAT, fitted, sampled, stored
 from benchmarks.calibration_fleet import Fleet, half_width
 from benchmarks.calibration_likelihood import FINISHED, LAPS, NUMBERS, PRIORS, log_likelihood
 from quadjax.cli import options, script
@@ -60,8 +60,7 @@ def calibrate(
     files = {"E2E": e2e, "INDI": indi}
     fleet, began = Fleet(files), time.monotonic()
     if output.exists():
-        stored = np.load(output)
-        shares, numbers, simulated = (stored[x] for x in ("shares", "numbers", "simulated"))
+        shares, numbers, simulated = stored(output)
     else:
         shares, numbers = np.zeros((0, len(PRIORS))), np.zeros((0, len(NUMBERS)))
         simulated = np.array([half_width(name, file) for name, file in files.items()])
@@ -76,7 +75,11 @@ def calibrate(
         tried = chains[:drones]
         found = fleet.fly(drones_of(tried), drones, flights, seed + number)
         shares, numbers = np.concatenate([shares, tried]), np.concatenate([numbers, found])
-        write_npz(output, {"shares": shares, "numbers": numbers, "simulated": simulated}, {})
+        write_npz(
+            output,
+            {"shares": shares, "numbers": numbers, "simulated": simulated},
+            {"format": FORMAT},
+        )
         log = log_likelihood(found, simulated)
         print(
             f"round {number + 1}, {time.monotonic() - began:.0f} s, temper {temper:g}: "

@@ -11,9 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.calibration_likelihood import PRIORS, log_likelihood
+from quadjax.core.files import read_npz
 
 LAST, BEST, RIDGE = 640, 300, 1e-3  # simulated drones of a fit; weight of small coefficients
 CHAINS, TOO_FAR = 256, -1e6
+FORMAT = "quadjax-calibration/1"
 
 
 class Emulator(NamedTuple):
@@ -88,10 +90,17 @@ def sampled(
     return now
 
 
+def stored(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shares and numbers of the drones of ``benchmarks.calibrate``, and ``Emulator.simulated``."""
+    names = ("shares", "numbers", "simulated")
+    arrays, _ = read_npz(file, FORMAT, names)
+    shares, numbers, simulated = (np.float64(arrays[name]) for name in names)
+    return shares, numbers, simulated
+
+
 def posterior(file: Path, seed: int = 0, fixed: tuple[int, float] | None = None) -> np.ndarray:
     """Drones (chains, keys) of the posterior, by the flights of ``benchmarks.calibrate``."""
-    stored, random = np.load(file), np.random.default_rng(seed)
-    emulator = fitted(stored["shares"], stored["numbers"], stored["simulated"])
+    random, emulator = np.random.default_rng(seed), fitted(*stored(file))
     chains = random.random((CHAINS, len(PRIORS)))
     for temper in (0.01, 0.1, 1.0):
         chains = sampled(emulator, chains, random, temper=temper, fixed=fixed)

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from benchmarks.calibrate import drones_of, told
-from benchmarks.calibration_emulator import posterior
+from benchmarks.calibration_emulator import posterior, stored
 from benchmarks.calibration_fleet import Fleet
 from benchmarks.calibration_likelihood import LAPS, PRIORS, log_likelihood
 from quadjax.cli import options, script
@@ -27,7 +27,7 @@ def cyberzoo_effects(
     flights: int = 8,
 ) -> None:
     """Leave out each effect, alone and with all other numbers calibrated again."""
-    fleet, simulated = Fleet({"E2E": e2e, "INDI": indi}), np.load(file)["simulated"]
+    fleet, simulated = Fleet({"E2E": e2e, "INDI": indi}), stored(file)[2]
     chains = posterior(file)
     variants = {"all": chains[:drones]}
     for i, (key, prior) in enumerate(PRIORS.items()):

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.calibrate import drones_of, told
-from benchmarks.calibration_emulator import posterior
+from benchmarks.calibration_emulator import posterior, stored
 from benchmarks.calibration_fleet import Fleet
 from benchmarks.calibration_likelihood import FINISHED, NUMBERS, PRIORS, log_likelihood
 from quadjax.cli import options, script
@@ -34,7 +34,7 @@ def cyberzoo_population(e2e: options.PolicyFile, indi: options.PolicyFile, file:
     logits = numbers[:, [NUMBERS.index(key) for key in FINISHED]]
     safe = (1.0 / (1.0 + np.exp(-logits)) >= SHARE).all(axis=1)
     print(f"{DRAWN} drones: {told(numbers)}")
-    log = np.where(safe, log_likelihood(numbers, np.load(file)["simulated"]), -np.inf)
+    log = np.where(safe, log_likelihood(numbers, stored(file)[2]), -np.inf)
     chosen = np.sort(np.argsort(-log)[:DRONES])
     print(f"{safe.sum()} of them, with which {SHARE:.0%} finish: {told(numbers[safe])}")
     print(f"{len(chosen)} of these: {told(numbers[chosen])}")

@@ -34,18 +34,18 @@ MOTOR_COMMAND = "motor_command"  # signal of a flight on the plant: commanded ro
 def fly_plants(
     policy: Policy, name: str, race: Config, plant: PlantConfig, label: str, protocol: Conditions
 ) -> Row:
-    """Flights from hover on drawn plants, a row that records the first ones of the first plant.
+    """Flights from hover on drones of a plant; the row records one of each of the first drones.
 
-    These have their true states, and the signal ``MOTOR_COMMAND``. Each plant has its own seed of
-    batteries, gusts and sensors, the same for every policy.
+    These have their true states, and the signal ``MOTOR_COMMAND``. Every flight has its own noise
+    of batteries, gusts and sensors, the same for every policy.
 
     Args:
         policy: the policy.
         name: of its file, for messages.
         race: its vehicle, with its residual, is the onboard model.
-        plant: with the constants of the first drawn plant.
+        plant: with its population, or the constants of its first drone.
         label: of the condition.
-        protocol: number of plants and flights, laps and seed.
+        protocol: number of drones and flights, laps and seed.
 
     Raises:
         InputError: a policy that does not fit, or a protocol that the plant does not have.

@@ -81,7 +81,7 @@ class Evaluation:
 
     @functools.cached_property
     def flights(self) -> list[Flight]:
-        """Every run as a flight; of flights on the plant the first of each plant."""
+        """Every run as a flight; of flights on the plant one of each of the first drones."""
         facts = {"race": self.race} if self.race else {}
         return [flight.replace(source=flight.source | facts) for flight in self.row.record()]
 

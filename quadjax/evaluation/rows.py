@@ -32,12 +32,12 @@ class Row:
     """Flights of one policy under one condition."""
 
     policy: str  # label of the policy
-    laps: Laps  # of all flights; those of one drawn plant follow each other
+    laps: Laps  # of all flights; those of one drone follow each other
     condition: str = ""  # label of the condition; "" for the race as it is
     drones: int = 1  # number of drones of a plant that share the flights
     speeds: Speeds | None = None  # of the flights, where they are recorded
     speed_limit: float | None = None  # m/s, that ``speeds.above`` counts from; None: unknown
-    # returns the flights, of those on the plant the first ones of the first plant
+    # returns the flights, of those on the plant one of each of the first drones
     record: Callable[[], list[Flight]] = dataclasses.field(default=list, repr=False)
     published: Optional["Row"] = None  # the published row of the same race and protocol
     best_known_lap: float | None = None  # s, in the race
