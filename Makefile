@@ -66,7 +66,7 @@ benchmark: $(VENV)/.run ## steps per second and memory on this machine
 notebooks: $(VENV)/.test-all ## execute the notebooks in place
 	$(BIN)/python -m tests.docs.notebooks
 
-results: $(VENV)/.run ## write the tables of docs/design/results.md from benchmarks/results.json
+results: $(VENV)/.run ## write the tables of README and docs from the rows of benchmarks/results
 	$(BIN)/python -m benchmarks.results
 
 clean: ## remove the environment and caches, not the runs

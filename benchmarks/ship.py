@@ -3,17 +3,17 @@
 The runs are those of ``python -m benchmarks.results measure ROW RUN...``, in the same order. Of the
 policies that finish at least 95% of their sampled flights from random starts, it takes the one
 whose time with the mean action is nearest to the median of all. The policy is written to
-``quadjax/pretrained/PRESET.npz``; its ``source`` gets the training's command and commit.
+``quadjax/pretrained/PRESET.npz``; its ``source`` gets the training's command and commit. Its rows
+in ``shipped.json`` and ``body.json`` have to be measured again (``benchmarks.results``).
 """
 
 import dataclasses
-import json
 import shlex
 import statistics
 from collections.abc import Sequence
 
 import quadjax
-from benchmarks.results import FILE
+from benchmarks import rows
 from quadjax.cli import script
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
@@ -32,13 +32,13 @@ def ship(name: str, /, *folders: str) -> None:
     """Write the policy and print its seed.
 
     Args:
-        name: Row of the preset in benchmarks/results.json.
+        name: Row of the preset in benchmarks/results/presets.json.
         folders: Runs of its seeds, in the order of the row.
     """
-    rows = {row["name"]: row for row in json.loads(FILE.read_text(encoding="utf-8"))["presets"]}
-    if name not in rows:
-        raise InputError(f"{name}: no such row, allowed: {', '.join(rows)}")
-    row = rows[name]
+    presets = {row["name"]: row for row in rows.read("presets")}
+    if name not in presets:
+        raise InputError(f"{name}: no such row, allowed: {', '.join(presets)}")
+    row = presets[name]
     runs = [quadjax.Run.load(folder) for folder in folders]
     if [run.config.seed for run in runs] != row["seeds"]:
         raise InputError(f"{name}: the seeds of the runs are not those of the row, {row['seeds']}")

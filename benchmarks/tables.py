@@ -1,0 +1,93 @@
+"""The tables of the documentation: of which rows, and the text of their columns."""
+
+import statistics
+from collections.abc import Callable
+from typing import NamedTuple
+
+from benchmarks.settings import Tree
+
+CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
+BODIES = ("body", "hall")
+README = {"e2e": "the published reward", "e2e +fastest": "time only"}
+Data = dict[str, list[Tree]]  # the rows of each file
+
+
+class Table(NamedTuple):
+    """The file of a table's rows, its columns, and a choice of rows; all of the file without it."""
+
+    file: str
+    columns: str  # of COLUMNS, or keys of the row; each may have another title: TITLE=COLUMN
+    rows: Callable[[Data], list[Tree]] | None = None
+
+
+def spread(values: list[float | None] | None) -> str:
+    """Median and range of the numbers; the number alone if there is one."""
+    numbers = [value for value in values or () if value is not None]
+    if not numbers:
+        return "-"
+    median, low, high = (f"{of(numbers):.2f}" for of in (statistics.median, min, max))
+    return median if len(numbers) == 1 else f"{median} ({low}-{high})"
+
+
+def finished(row: Tree, condition: str) -> str:
+    """Number of flights that finish, of those of all seeds."""
+    counts = row["finished"].get(condition)
+    return f"{sum(counts)}/{row['flights'] * len(counts)}" if counts else "-"
+
+
+def time(row: Tree, condition: str) -> str:
+    """The time of one policy; in brackets, the number of flights that finish."""
+    return f"{spread(row['total'][condition])} ({row['finished'][condition][0]})"
+
+
+def with_bodies(data: Data) -> list[Tree]:
+    """The shipped policies, each with its rows of flights with a body."""
+    rows = {row["name"]: row for row in data["body"]}
+    return [
+        row | {body: rows[f"{row['name']} {body}"] for body in BODIES} for row in data["shipped"]
+    ]
+
+
+def of_readme(data: Data) -> list[Tree]:
+    """The presets of the README, with a word on each."""
+    rows = {row["name"]: row for row in data["presets"]}
+    return [rows[name] | {"preset": f"`{name}`: {text}"} for name, text in README.items()]
+
+
+COLUMNS: dict[str, Callable[[Tree], str]] = {
+    "name": lambda row: f"`{row['name']}`",
+    "file": lambda row: f"`{row['policy']}`",
+    "race": lambda row: f"`{' '.join(row['race'])}`",
+    "policy": lambda row: row["label"],
+    **{f"{c}, s": lambda row, c=c: spread(row["total"].get(c)) for c in CONDITIONS},
+    **{c: lambda row, c=c: time(row, c) for c in CONDITIONS},
+    **{body: lambda row, body=body: time(row[body], "sampled") for body in BODIES},
+    "hover": lambda row: finished(row, "sampled"),
+    "random starts": lambda row: finished(row, "sampled, random"),
+    "random starts, body": lambda row: finished(row["body"], "sampled, random"),
+    "10^6 steps": lambda row: f"{row['steps'] / 1e6:.1f}",
+    "noise": lambda row: f"{statistics.median(row['noise']):.2f}",
+    "seed": lambda row: str(row["seeds"][0]),
+}
+BODY = "sampled|with a body=body|body and hall=hall|random starts|with a body=random starts, body"
+MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"
+TABLES = {
+    "readme": Table("presets", f"preset|{MEAN}", of_readme),
+    "presets": Table("presets", "name|mean, s|sampled, s|hover|random starts"),
+    "training": Table("presets", "name|trained with|10^6 steps|noise|time"),
+    "pretrained": Table("shipped", "file|race|seed|mean, s|random starts"),
+    "shipped": Table("shipped", "file|noise|mean|sampled|sampled, random"),
+    "table1": Table("table1", "policy|sampled, s|mean, s|hover|random starts"),
+    "published": Table("published", "name|noise|mean|sampled|mean, random|sampled, random"),
+    "body": Table("body", f"file|{BODY}", with_bodies),
+}
+
+
+def cell(row: Tree, column: str) -> str:
+    """The text of a row in a column."""
+    if column in COLUMNS:
+        return COLUMNS[column](row)
+    value = row[column]
+    if isinstance(value, list):
+        return spread(value)
+    return f"{value:.2f}" if isinstance(value, float) else str(value)
