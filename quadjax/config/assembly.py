@@ -123,6 +123,7 @@ def make_params(config: Config) -> RaceParams:
         mismatch=_mismatch(config, vehicle),
         estimator=_estimator(config, vehicle),
         battery=_battery(config, vehicle),
+        delay=None if config.vehicle.delay is None else _pair(config.vehicle.delay),
     )
 
 
@@ -166,15 +167,19 @@ def _estimator(config: Config, vehicle: VehicleParams) -> EstimatorParams | None
     return estimator_params(model, vehicle, 1.0 / config.rules.time_step, explicit_euler=euler)
 
 
+def _pair(ends: tuple[float, float]) -> tuple[jax.Array, jax.Array]:
+    """The lowest and highest value of a range."""
+    return jnp.float32(ends[0]), jnp.float32(ends[1])
+
+
 def _battery(config: Config, vehicle: VehicleParams) -> Battery | None:
     """The battery, and the onboard estimator of its limit."""
     if config.battery is None:
         return None
     c, step = vehicle.constants, config.rules.time_step
-    low, high = config.battery.charge
     return Battery(
         cells=battery_params(config.battery, motor.hover_rpm(c), c.rpm_max),
-        charge=(jnp.float32(low), jnp.float32(high)),
+        charge=_pair(config.battery.charge),
         estimator=limit_estimator(c.rpm_max, c.tau, 1.0 / step),
         time_step=jnp.float32(step),
     )

@@ -43,6 +43,9 @@ def check(config: Config) -> None:
         _check_schedule(config, key, schedule)
     if config.network.module and config.network.normalize:
         refuse("network.normalize", True, "false with network.module")
+    step, delay = config.rules.time_step, config.vehicle.delay
+    if delay is not None and delay[1] > step:
+        refuse("vehicle.delay", list(delay), f"at most rules.time_step, {step:g} s")
     _check_effects(config)
     _check_observation(config)
     last = with_scheduled_values(config)

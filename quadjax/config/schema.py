@@ -15,6 +15,7 @@ from quadjax.core.sections import (
     MAX_LAPS,
     MAX_RUNS,
     MAX_SEED,
+    ORDERED,
     Code,
     Field,
     FolderName,
@@ -33,6 +34,7 @@ from quadjax.race.track import TrackSection
 from quadjax.vehicle.battery import BatteryConfig
 
 Constant = Annotated[float, Field(ge=-1e9, le=1e9)]
+Delay = Annotated[float, Field(ge=0, le=0.1)]
 Devices = Annotated[int, Field(ge=1, le=4096)]
 Location = tuple[str | int, ...]  # of a value in a tree: keys, and indices of lists
 SCORE_NAMES = {  # columns of metrics.csv, by ``run.score``
@@ -97,6 +99,11 @@ class Vehicle(Section):
         "pitch of 90 deg; models racing and a2rl have one in any case",
     )
     integrator: Literal["euler", "rk4"] = Field("euler", description="integration of a time step")
+    delay: Annotated[tuple[Delay, Delay], ORDERED] | None = Field(
+        None,
+        description="delay of commands in training, s: lowest and highest, drawn for every "
+        "episode; at most rules.time_step",
+    )
     mismatch: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(
         {},
         max_length=100,

@@ -49,7 +49,9 @@ def _outcome(choices: Choices, step: Step) -> Outcome:
     return evaluate_rules(step, choices.user_rules)
 
 
-def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
+def command(
+    choices: Choices, params: RaceParams, action: jax.Array | tuple[jax.Array, ...]
+) -> Command:
     """The command of an action (action_size,): clipped to [-1, 1], scaled to the nominal range."""
     size = choices.model.action_size
     parts = [clip_inward(action[index], -1.0, 1.0) for index in range(size)]
@@ -59,10 +61,18 @@ def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
 
 
 def _simulate(choices: Choices, params: RaceParams, state: RaceState, action: jax.Array) -> State:
-    """The vehicle's state one step later; commands are clipped to its range."""
+    """The vehicle's state one step later; commands are clipped to its range.
+
+    Of a delayed command and the one before it the mean over the step acts, as the motors are far
+    slower than a step.
+    """
     vehicle, model = params.vehicle_of(state), choices.model
     low, high = model.command_range(vehicle.constants)
     held = jax.tree.map(clip_inward, command(choices, params, action), low, high)
+    if state.delay is not None and state.action is not None:
+        before = jax.tree.map(clip_inward, command(choices, params, state.action), low, high)
+        late = state.delay / params.rules.time_step
+        held = jax.tree.map(lambda now, old: now + late * (old - now), held, before)
     if params.battery is not None and state.battery is not None:
         rpm = state.drone.actuators
         held = limit_command(params.battery, state.battery, rpm, held)

@@ -10,7 +10,7 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
 from quadjax.core.gradients import Scalar
-from quadjax.core.vectors import Vec3, safe_norm
+from quadjax.core.vectors import Vec3, between, safe_norm
 from quadjax.race.layout import LAST_ACTION
 from quadjax.race.track import (
     Gate,
@@ -28,7 +28,7 @@ from quadjax.vehicle.protocol import Constants, Motion, State, VehicleModel
 
 # Streams of random numbers, folded into the key of a start; another number changes the draws. The
 # ``Draws`` of a start are of the key itself.
-ALONG_LEG, BATTERY, TRACK, RACE_START, AROUND_HOVER = 1, 2, 3, 5, 6
+ALONG_LEG, BATTERY, TRACK, RACE_START, AROUND_HOVER, DELAY = 1, 2, 3, 5, 6, 7
 AROUND_START, YAW_OF_START = 0.5, math.pi / 4.0  # half-widths of x and y, m, and of the yaw, rad
 
 
@@ -76,6 +76,9 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         steps = jnp.asarray(params.training_limits.episode_steps, draws["clock"].dtype)
         clock = (0.5 * (draws["clock"][0] + 1.0) * steps).astype(jnp.int32)
     state = _begin(choices, params, drone, target, constants, battery)
+    if params.delay is not None:
+        late = jax.random.uniform(jax.random.fold_in(key, DELAY), minval=-1.0)
+        state = state.replace(delay=between(*params.delay, late))
     if ranges.race is not None:
         race_key, used_key = jax.random.split(jax.random.fold_in(key, RACE_START))
         race = hover_start(choices, params, state, draw(race_key, 3))
@@ -225,8 +228,8 @@ def hover_start(
 ) -> RaceState:
     """The start of a timed race: hover at the track's start, or the last gate; see ``hover``.
 
-    The constants, disturbances and battery are those of ``start``; without one nothing is drawn,
-    and the battery has the highest charge.
+    The constants, disturbances, battery and delay are those of ``start``; without one nothing is
+    drawn, the battery has the highest charge, and the delay is the middle of its range.
     """
     model, constants = choices.model, None if start is None else start.constants
     drone = hover(model, constants or params.vehicle.constants, params.track, moved)
@@ -237,7 +240,8 @@ def hover_start(
     if params.battery is not None:
         charged = None if start is None else start.battery
         battery = battery_at_start(params.battery, drone.actuators, charged)
-    return _begin(choices, params, drone, jnp.zeros((), jnp.int32), constants, battery)
+    state = _begin(choices, params, drone, jnp.zeros((), jnp.int32), constants, battery)
+    return state if start is None else state.replace(delay=start.delay)
 
 
 def _begin(
@@ -250,12 +254,15 @@ def _begin(
 ) -> RaceState:
     zero, action = jnp.zeros((), jnp.int32), no_action(choices, params)
     state = RaceState(drone, target, zero, zero, constants, action=action, battery=battery)
+    if params.delay is not None:
+        state = state.replace(delay=between(*params.delay, jnp.zeros(())))
     return with_estimate(choices, params, state)
 
 
 def no_action(choices: Choices, params: RaceParams) -> tuple[jax.Array, ...] | None:
-    """The action before the first, where the observation or the reward needs it."""
-    if LAST_ACTION not in choices.layout and params.reward.action_change is None:
+    """The action before the first, where observation, reward or delay need it."""
+    needed = params.reward.action_change is not None or params.delay is not None
+    if LAST_ACTION not in choices.layout and not needed:
         return None
     return tuple(jnp.zeros(()) for _ in range(choices.model.action_size))
 

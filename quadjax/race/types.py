@@ -71,6 +71,7 @@ class RaceParams(struct.PyTreeNode):
     mismatch: Constants | None = None  # factors on the constants of the simulated drone
     estimator: EstimatorParams | None = None  # where the observation is estimated
     battery: Battery | None = None  # where it limits the commands
+    delay: tuple[jax.Array, jax.Array] | None = None  # s, of commands: lowest and highest
     # Scale of the observed disturbances where it is not the drawn range: a policy keeps the scale
     # that it was trained with.
     disturbance_scale: Disturbance | None = None
@@ -116,6 +117,7 @@ class RaceState(struct.PyTreeNode):
     estimate: Estimate | None = None  # where the observation is estimated; else None
     action: tuple[jax.Array, ...] | None = None  # of the step before, each (), where it is used
     battery: BatteryState | None = None  # where the race has one
+    delay: jax.Array | None = None  # () s, of this episode's commands, where there is one
     track: Track | None = None  # of this episode, where it is drawn; else None
 
 

@@ -244,6 +244,8 @@ vehicle.constants.i_xx=1 | i_xx is 1.0, allowed: at most 0.003296, the sum of th
 vehicle.width=1 | square4.yaml: track.gates[0].size is [1.0, 1.0], allowed: sides above 1 m, \
 vehicle.width of Parrot Bebop 1
 reward.overspeed=3 | reward.overspeed is 3.0, allowed: 20.0 without rules.speed_limit
+vehicle.delay=[0,0.02] | vehicle.delay is [0.0, 0.02], allowed: at most rules.time_step, 0.01 s
+vehicle.delay=[0.01,0] | vehicle.delay is [0.01, 0], allowed: [lowest, highest]
 vehicle.constants.tau=0.005 | vehicle.constants.tau is 0.005, allowed: above 0.005 s
 vehicle.mismatch.k_z2=1.1 | unknown key vehicle.mismatch.k_z2; did you mean k_z?
 vehicle.residual_gain=0.5 | is 0.5, allowed: 1.0 without vehicle.residual
