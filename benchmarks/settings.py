@@ -47,19 +47,20 @@ def _resolve(setting: str, first: str, *words: str) -> Tree:
         drone = nominal_vehicle(plant)
         return plain(plant) | {"vehicle": {"mass": drone.mass, "models": dict(drone.models)}}
     tree = plain(quadjax.load(first, words))
-    return tree if setting == "config" else {key: tree[key] for key in RACE}
+    return tree if setting == "config" else {key: tree[key] for key in RACE if key in tree}
 
 
 def plain(section: pydantic.BaseModel) -> Tree:
     """The values of a config that have an effect.
 
-    A shipped ``.npz`` file is its SHA-256; another one its name, as it may not be there.
+    A shipped ``.npz`` file is its SHA-256; another one its name, as it may not be there. A key that
+    is null is left out: null is off, so that a new key at null is the same setting.
     """
 
     def cleaned(value: Any, at: str) -> Any:
         if isinstance(value, dict):
-            keys = [key for key in value if f"{at}{key}" not in NO_EFFECT]
-            return {key: cleaned(value[key], f"{at}{key}.") for key in keys}
+            kept = {k: x for k, x in value.items() if x is not None and at + k not in NO_EFFECT}
+            return {key: cleaned(item, f"{at}{key}.") for key, item in kept.items()}
         if isinstance(value, list):
             return [cleaned(item, at) for item in value]
         if isinstance(value, str) and value.endswith(".npz"):

@@ -99,7 +99,7 @@ CHANGED = {  # words in place of those of a row: what its line says
     "start.heading=inside_turn": "start.heading north, now inside_turn",
     "schedules.learner.std=null": "schedules.learner.std.linear ['value', 0.05], now absent",
     "track=figure8": "track.gates.0.position [2.0, -1.5, -1.5], now ",
-    "vehicle.residual=standin_residual.npz": "vehicle.residual null, now 078aad",
+    "vehicle.residual=standin_residual.npz": "vehicle.residual absent, now 078aad",
 }
 
 
