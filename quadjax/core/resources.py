@@ -13,6 +13,7 @@ _BUNDLED = _PACKAGE / "configs"
 
 CONFIGS = _BUNDLED if _BUNDLED.is_dir() else _PACKAGE.parent / "configs"
 PRETRAINED = _PACKAGE / "pretrained"
+RESIDUALS = {"standin_residual", "cyberzoo_residual"}  # there, next to the policies
 POLICY_FILE = "policy.npz"  # in the folder of a training run
 KINDS = {  # what the folders of configs/ hold
     "": "presets",
@@ -135,4 +136,4 @@ def is_run(folder: Path) -> bool:
 
 def policy_names() -> list[str]:
     """Names of the shipped policies."""
-    return sorted({path.stem for path in PRETRAINED.glob("*.npz")} - {"standin_residual"})
+    return sorted({path.stem for path in PRETRAINED.glob("*.npz")} - RESIDUALS)

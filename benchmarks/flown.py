@@ -1,0 +1,53 @@
+"""Trainings and flights that the rows of a comparison are made of."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import quadjax
+from quadjax.evaluation.rows import Row
+from quadjax.plant.config import load_plant_config
+
+LAPS, SEED = 6, 2000  # of the flights; the seed of their noise
+
+
+def trained(preset: str, words: Sequence[str], seed: int, folder: Path) -> quadjax.Policy:
+    """The policy of a training, which is resumed, or read if it has ended."""
+    config = quadjax.load(preset, [*words, f"seed={seed}", "run.devices=1"])
+    return quadjax.train(config, folder, resume=True).policy
+
+
+def flown(
+    policy: quadjax.Policy, plant: Sequence[str], flights: int, drones: int = 1
+) -> tuple[Row, Row]:
+    """Flights on a plant, a number on each drone: sampled, and with the mean action."""
+    loaded = load_plant_config(plant[0], plant[1:])
+    options: dict[str, Any] = {"plant": loaded, "laps": LAPS, "seed": SEED, "drones": drones}
+    sampled, mean = (
+        quadjax.evaluate(policy, runs=flights * drones, deterministic=how, **options).rows[0]
+        for how in (False, True)
+    )
+    return sampled, mean
+
+
+def numbers(sampled: Row, mean: Row) -> dict[str, Any]:
+    """Laps of the sampled flights on each drone, ends, and what the mean action reaches.
+
+    Laps (drones, flights, laps) are in s; those of a flight that does not finish are null.
+    """
+    laps = np.asarray(sampled.laps.lap_times, float).round(3)
+    done = np.isfinite(laps).all(axis=1, keepdims=True)
+    each = np.where(done, laps, np.nan).reshape(sampled.drones, -1, laps.shape[1])
+    return {
+        "laps": [[[_number(x) for x in flight] for flight in flights] for flights in each],
+        "ends": sampled.ends,
+        "mean action": _number(mean.total),
+        "mean action, finished": mean.finished,
+    }
+
+
+def _number(seconds: float) -> float | None:
+    return round(float(seconds), 3) if math.isfinite(seconds) else None

@@ -1,0 +1,105 @@
+"""E2E against INDI on the drones of ``cyberzoo``, as docs/design/protocol.md says.
+
+A row of ``benchmarks/results/tournament.json`` has the flights of one training. A row that is there
+is not measured again, so the same command resumes. Seeds come first: wherever it stops, all drones
+have the same number of seeds.
+
+    python -m benchmarks.tournament --seeds 0 1 2 3 4
+"""
+
+import functools
+import itertools
+from pathlib import Path
+from typing import Annotated, Any
+
+from benchmarks import rows
+from benchmarks.flown import flown, numbers, trained
+from quadjax.cli import script
+from quadjax.cli.fit import fit
+from quadjax.cli.logs import logs
+from quadjax.cli.options import LIST, Folder, Seeds
+from quadjax.core.errors import InputError
+from quadjax.core.resources import PRETRAINED
+
+FILE, PLANT, DRONES = "tournament", "cyberzoo", 20
+PRESETS = {"E2E": "e2e_cyberzoo", "INDI": "indi_cyberzoo"}
+SCOPES = ("all", "each")
+FLIGHTS, LOGGED = 20, 2  # on a drone: of each policy, and of each shipped one for a fit
+Names = Annotated[tuple[str, ...], LIST]
+
+
+def tournament(
+    *,
+    scopes: Names = SCOPES,
+    contenders: Names = tuple(PRESETS),
+    drones: Seeds = tuple(range(DRONES)),
+    seeds: Seeds = (0,),
+    output: Folder = Path("runs/tournament"),
+) -> None:
+    """Train the contenders, fly them, and write the rows.
+
+    Args:
+        scopes: all: one policy for all drones; each: one for each drone, on the fit to its logs.
+        contenders: E2E, INDI.
+        drones: with a policy of their own.
+        seeds: of the trainings.
+        output: folder of logs, fits and runs.
+    """
+    for given, allowed in ((scopes, SCOPES), (contenders, tuple(PRESETS))):
+        if unknown := set(given) - set(allowed):
+            raise InputError(f"unknown {sorted(unknown)}, allowed: {', '.join(allowed)}")
+    done = {row["name"] for row in rows.read(FILE)}
+    for seed, scope in itertools.product(seeds, scopes):
+        for drone in drones if scope == "each" else (None,):
+            for contender in contenders:
+                row = row_of(contender, drone, seed)
+                if row["name"] not in done:
+                    rows.write(FILE, [row | measure(contender, drone, seed, output)])
+                    print(row["name"], flush=True)
+
+
+def row_of(contender: str, drone: int | None, seed: int) -> dict[str, Any]:
+    """Name, command and settings of a training; ``drone`` is None for one policy for all."""
+    scope = "all" if drone is None else "each"
+    words = f"--scopes {scope} --contenders {contender} --seeds {seed}"
+    words += "" if drone is None else f" --drones {drone}"
+    return {
+        "name": f"{contender}, {'all' if drone is None else f'drone {drone}'}, seed {seed}",
+        "command": f"python -m benchmarks.tournament {words}",
+        "config": [PRESETS[contender]],
+        "plant": [PLANT] if drone is None else [PLANT, f"drone={drone}"],
+        "seeds": [seed],
+        "contender": contender,
+        "scope": scope,
+        "drone": drone,
+    }
+
+
+def measure(contender: str, drone: int | None, seed: int, output: Path) -> dict[str, Any]:
+    """Train and fly."""
+    folder = output / ("all" if drone is None else f"drone_{drone}")
+    words, plant, count = [], [PLANT], DRONES
+    if drone is not None:
+        found, plant, count = identified(folder, drone), [PLANT, f"drone={drone}"], 1
+        words.append(f"vehicle.file={found / 'vehicle.yaml'}")
+        if contender == "E2E":
+            words.append(f"vehicle.residual={found / 'residual.npz'}")
+    policy = trained(PRESETS[contender], words, seed, folder / f"{contender.lower()}_{seed}")
+    return numbers(*flown(policy, plant, FLIGHTS, count))
+
+
+@functools.cache
+def identified(folder: Path, drone: int) -> Path:
+    """The folder of the fit to logs of both shipped policies on a drone."""
+    written, found = folder / "logs", folder / "fit"
+    if not list(written.glob("*.csv")):
+        files = [PRETRAINED / f"{name}.npz" for name in PRESETS.values()]
+        logs(PLANT, f"drone={drone}", output=written, policy=files, flights=LOGGED)
+    if not (found / "vehicle.yaml").exists():
+        words = [f"logs.files=[{(written / '*.csv').resolve()}]", "figures=false"]
+        fit(PLANT, *words, output=folder, name="fit")
+    return found
+
+
+if __name__ == "__main__":
+    script(tournament)
