@@ -5,13 +5,14 @@ that does not finish. Flights of one index on one drone have the same battery an
 policy flies. Both contenders have the same drones and flights; the number of trainings may differ.
 
 The interval is of a hierarchical bootstrap, which draws drones, trainings of each contender and, on
-each drone, flights with replacement. A training is drawn for all drones at once, because the same
-policy flies all of them. Each level draws one fewer than it has, so that the variance of its mean
-has no bias (Rao and Wu, 1988).
+each drone, flights with replacement. A training is drawn for all drones at once where the same
+policy flies all of them, and for each drone where it has its own policies. Each level draws one
+fewer than it has, so that the variance of its mean has no bias (Rao and Wu, 1988).
 """
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +57,7 @@ def leads(
     failed_after: float,
     resamples: int = 2000,
     seed: int = 0,
+    own: bool = False,
 ) -> Leads:
     """The lead of the first contender over the second.
 
@@ -65,17 +67,13 @@ def leads(
         failed_after: the total of a flight that does not finish, s, in the score.
         resamples: number of draws of the bootstrap.
         seed: of the bootstrap.
+        own: whether the policies of each drone are its own.
     """
     values = _differences(first, second, failed_after)
     drones, one, two, flights, _ = values.shape
     draw = functools.partial(_weights, np.random.default_rng(seed), resamples)
-    weights, ones, twos = draw(drones), draw(one), draw(two)
-    sums = np.stack(
-        [
-            np.einsum("abfk,rf,ra,rb->rk", x, draw(flights), ones, twos, optimize=True)
-            for x in values
-        ]
-    )
+    weights, shared = draw(drones), (draw(one), draw(two))
+    sums = np.stack([_sums(x, draw, (draw(one), draw(two)) if own else shared) for x in values])
     with np.errstate(invalid="ignore"):
         laps = sums[..., :-2] / sums[..., -2:-1]
         later = laps[..., 1:].sum(axis=-1) / np.float64(laps.shape[-1] - 1)
@@ -116,6 +114,14 @@ def _differences(first: np.ndarray, second: np.ndarray, failed_after: float) -> 
     one, two = (totals(flights, failed_after) for flights in (first, second))
     score = (two[:, None] - one[:, :, None])[..., None]
     return np.concatenate([np.where(both, ahead, 0.0), both, score], axis=-1)
+
+
+def _sums(
+    values: np.ndarray, draw: Callable[[int], np.ndarray], trainings: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """Weighted sums (draws, k) of the values of one drone, (trainings, trainings, flights, k)."""
+    flights = draw(values.shape[2])
+    return np.einsum("abfk,rf,ra,rb->rk", values, flights, *trainings, optimize=True)
 
 
 def _weights(random: np.random.Generator, resamples: int, count: int) -> np.ndarray:

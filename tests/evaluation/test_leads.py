@@ -63,21 +63,24 @@ def test_the_same_seed_draws_the_same():
     assert first.total.low != other.total.low
 
 
-@pytest.mark.parametrize("trainings", [1, 5])
-def test_intervals_contain_the_lead_in_about_95_percent_of_experiments(trainings):
-    """Drones, trainings and flights vary; a lead of 1 s on 8 drones of 4 flights."""
+@pytest.mark.parametrize(("trainings", "own"), [(1, False), (5, False), (5, True)])
+def test_intervals_contain_the_lead_in_about_95_percent_of_experiments(trainings, own):
+    """Drones, trainings and flights vary; a lead of 1 s on 8 drones of 4 flights.
+
+    Trainings are those of all drones, or each drone has its own.
+    """
     between = 0.3 * (trainings > 1)
     covered = 0
     for seed in range(200):
         random = np.random.default_rng(seed)
 
         def contender(mean, drones, random=random):
-            of_training = between * random.normal(size=(1, trainings, 1))
+            of_training = between * random.normal(size=(8 if own else 1, trainings, 1))
             noise = 0.2 * random.normal(size=(8, trainings, 4))
             return (mean + drones + of_training + noise)[..., None]
 
         shared, lead = random.normal(size=(8, 1, 1)), 0.3 * random.normal(size=(8, 1, 1))
         pair = contender(16.0, shared), contender(17.0, shared + lead)
-        total = leads(*pair, 34.0, resamples=200, seed=seed).total
+        total = leads(*pair, 34.0, resamples=200, seed=seed, own=own).total
         covered += total.low <= 1.0 <= total.high
     assert 0.88 <= covered / 200 <= 0.99, covered
