@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import speed
+from benchmarks import rows, speed
 from benchmarks.drones import draw_drones, reachable
 from benchmarks.probe import quantities, r_squared
-from benchmarks.ship import median_of
+from benchmarks.ship import median_of, trained
 from benchmarks.tracks import cell, read_best
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
@@ -35,9 +35,27 @@ def test_probes_of_known_inputs_have_the_known_r_squared():
 
 
 def test_the_median_ships_unless_it_finishes_too_few_flights():
-    times = (13.9, 14.2, 13.8, 14.0, 14.05)
-    assert median_of(times, (1.0,) * 5) == 3
-    assert median_of(times, (1.0, 1.0, 1.0, 0.94, 0.95)) == 4
+    times = [14.0, 13.9, 14.1, float("nan")]
+    assert median_of(times, [True] * 4) == 0
+    assert median_of(times, [False, True, True, False]) == 1  # the first of two as near
+    with pytest.raises(InputError, match="no training finishes often enough"):
+        median_of(times, [False] * 4)
+
+
+def test_a_step_is_known_by_its_flights(monkeypatch):
+    """Of a step with two seeds, one flight of four does not finish."""
+    lap, none = [1.0, 2.0], [None, None]
+    parts = {"step": "INDI", "config": ["indi"], "commit": "abc"}
+    steps = [
+        parts | {"seeds": [1], "laps": [[lap, [2.0, 2.0]]]},
+        parts | {"seeds": [0], "laps": [[lap, none]]},
+    ]
+    monkeypatch.setattr(rows, "read", lambda name: steps if name == "interventions" else [])
+    (first, second), least = trained("INDI")
+    assert (first.seed, first.time, first.share, least) == (0, 3.0, 0.5, 0.98)
+    assert (second.seed, second.time, second.share) == (1, 3.5, 1.0)
+    with pytest.raises(InputError, match="E2E: no such row"):
+        trained("E2E")
 
 
 def test_limits_of_the_commands_are_within_the_nominal_range():
