@@ -2,18 +2,19 @@
 
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecEnv
 
 import quadjax
 from quadjax.integrations.sb3 import RaceVecEnv
 
 
-def make_ppo(config: quadjax.Config) -> PPO:
-    """Stable-Baselines3's PPO with the hyperparameters of a config."""
+def make_ppo(config: quadjax.Config, env: VecEnv | None = None) -> PPO:
+    """Stable-Baselines3's PPO with the hyperparameters of a config, on its race or on ``env``."""
     learner, hidden = config.learner, list(config.network.hidden)
     activation = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[config.network.activation]
     return PPO(
         "MlpPolicy",
-        RaceVecEnv(*quadjax.make_race(config), learner.num_envs, config.seed),
+        env or RaceVecEnv(*quadjax.make_race(config), learner.num_envs, config.seed),
         learning_rate=learner.learning_rate,
         n_steps=learner.rollout_length,
         batch_size=learner.num_envs * learner.rollout_length // learner.num_minibatches,
