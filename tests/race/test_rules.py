@@ -95,6 +95,16 @@ def test_only_the_plane_of_the_target_is_hit(race):
     assert flags(outcome, 0) == {GROUND} and not outcome.passed[0] and value[0] == -10
 
 
+def test_the_plane_of_the_target_is_free_from_the_front(race):
+    """From 2 cm in front of it to 3 cm behind, in the opening and beside it: only progress."""
+    rows = level([through(0, 0.02), through(0, 0.02, 0.6)], -5 * normal(0))
+    following, value, outcome = step(race, rows, target=0)
+    assert not np.any(outcome.passed | outcome.crashed)
+    np.testing.assert_array_equal(following.target, 0)
+    off = [np.hypot(forward, [0.0, 0.6]) for forward in (0.02, 0.03)]
+    np.testing.assert_allclose(value, off[0] - off[1], atol=1e-5)
+
+
 LIMITS = [  # columns of a drone in hover in the middle; what ends its flight in training, in a race
     ({}, "", ""),
     *(({"z": z, "w": 5.0}, *what) for z, what in ((-0.02, [GROUND] * 2), (-0.08, ["", ""]))),
