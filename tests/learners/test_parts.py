@@ -10,16 +10,18 @@ from flax import linen as nn
 
 from quadjax.config.assembly import make_choices
 from quadjax.config.loading import load_config
+from quadjax.core.environment import vectorize
 from quadjax.core.errors import InputError
 from quadjax.learners import parallel
 from quadjax.learners.loop import plan_chunks
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.parallel import choose_devices, core_count, prepare_devices
-from quadjax.learners.ppo import PPO, Batch, loss
-from quadjax.learners.rollout import Steps, clip, run_epochs, td_lambda
+from quadjax.learners.ppo import PPO, Batch, collect, loss
+from quadjax.learners.rollout import Steps, Task, clip, first_state, run_epochs, td_lambda
 from quadjax.learners.shac import SHAC, make_policy_optimizer, total_return
 from quadjax.race.environment import make_environment, with_critic_constants
 from quadjax.training.build import training_environment
+from tests.learners.probes import ENVIRONMENT, NETWORK, probe
 
 TIME, COUNT = 30, 7
 
@@ -108,6 +110,23 @@ def test_the_return_of_short_horizons(steps):
                 expected += gamma * 0.9 * next_value[t, n]
             gamma = 1.0 if ended else 0.9 * gamma
     np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
+def test_states_that_episodes_restart_from_are_drawn_every_50_steps():
+    """In episodes of one step, of which an environment begins each at the same place."""
+    hyper, n = PPO(num_envs=8, rollout_length=150), 8
+    task = Task(vectorize(ENVIRONMENT), NETWORK, probe(move=1.0))
+
+    @jax.jit
+    def places(key):
+        state = first_state(task, key, n, np.float32(0.0))
+        return collect(task, hyper, state, key)[1][0].observation[..., 2]
+
+    drawn = np.asarray(places(jax.random.key(0)))[1:].T  # the first is of the state itself
+    for one in drawn:
+        changes = np.flatnonzero(np.diff(one)) + 2  # steps whose state is another one
+        np.testing.assert_array_equal(changes, [51, 101])
+    assert len(np.unique(drawn)) == 3 * n
 
 
 class Proportional(ActorCritic):
