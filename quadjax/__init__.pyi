@@ -9,6 +9,8 @@ from quadjax.core.errors import InputWarning as InputWarning
 from quadjax.core.resources import presets as presets
 from quadjax.core.sections import Section as Section
 from quadjax.core.vectors import safe_norm as safe_norm
+from quadjax.evaluation.compare import compare as compare
+from quadjax.evaluation.comparison import Comparison as Comparison
 from quadjax.evaluation.conditions import Condition as Condition
 from quadjax.evaluation.curves import training_figure as training_figure
 from quadjax.evaluation.evaluate import evaluate as evaluate

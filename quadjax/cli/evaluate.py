@@ -14,7 +14,7 @@ from quadjax.core.errors import InputError, warn
 from quadjax.core.files import write_json
 from quadjax.core.folders import results
 from quadjax.core.interruptions import loading
-from quadjax.core.resources import PRETRAINED, policy_names, preset_names
+from quadjax.core.resources import PRETRAINED, policy_names
 
 if TYPE_CHECKING:
     from quadjax.config.schema import Config as RaceConfig
@@ -28,14 +28,6 @@ RECORDED = Group("Recorded flights, in place of policies", sort_key=2)
 States = Annotated[
     Path | None, opt.Output((".npz", ".csv")), Parameter(metavar="FILE.npz|.csv", group=opt.FILES)
 ]
-Listed = Annotated[
-    str | None,
-    opt.config_of(
-        "conditions",
-        metavar="NAME",
-        help=f"List of conditions: {', '.join(preset_names('conditions'))}, or a YAML file.",
-    ),
-]
 
 
 def evaluate(
@@ -43,8 +35,8 @@ def evaluate(
     /,
     *overrides: opt.Overrides,
     policy: tuple[opt.PolicyFile, ...] | None = None,
-    conditions: Listed = None,
-    only: Annotated[list[str] | None, opt.LIST, Parameter(metavar="LABEL ...")] = None,
+    conditions: opt.Conditions = None,
+    only: opt.Labels = None,
     laps: opt.Laps | None = None,
     gates: opt.Gates | None = None,
     seconds: Annotated[float | None, opt.number(0.01, 1e4)] = None,
@@ -98,7 +90,6 @@ def evaluate(
 
     Args:
         policy: Policy file, folder of a run, or name of a shipped policy; may be repeated.
-        only: Labels of some of the conditions (default: all).
         laps: Laps of a run (default: evaluate.laps).
         gates: Gates of a run, in place of laps.
         seconds: Seconds of a run, in place of laps.

@@ -190,6 +190,14 @@ PolicyFile = Annotated[
 PlantConfig = Annotated[str, config_of("plant", metavar="CONFIG")]
 FitConfig = Annotated[str, config_of("fit", metavar="FIT.yaml")]
 Race = Annotated[str | None, Parameter(metavar="CONFIG")]
+Conditions = Annotated[
+    str | None,
+    config_of(
+        "conditions",
+        metavar="NAME",
+        help=f"List of conditions: {', '.join(preset_names('conditions'))}, or a YAML file.",
+    ),
+]
 Export = Annotated[Path, path("the folder of quadjax export, or a file")]
 Folder = Annotated[Path, path("the name of a folder", writable_folder, metavar="DIR")]
 RunsFolder = Annotated[Folder, OutputFolder(), Parameter(help="Write to DIR/NAME.")]
@@ -204,6 +212,11 @@ Drones = Annotated[int, whole(1, MAX_DRONES)]
 Count = Annotated[int, whole(1, 10**6)]
 Positive = Annotated[float, number(1e-6, 50.0)]
 LIST = Parameter(consume_multiple=True)  # values that follow one another; else the option repeats
+Labels = Annotated[
+    list[str] | None,
+    LIST,
+    Parameter(metavar="LABEL ...", help="Labels of some of the conditions (default: all)."),
+]
 Seeds = Annotated[tuple[Seed, ...], LIST, Parameter(metavar="N ...")]
 
 

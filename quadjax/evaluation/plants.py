@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.config.schema import Config
+from quadjax.config.schema import Config, Vehicle
 from quadjax.core.errors import InputError
 from quadjax.core.precision import single_precision
 from quadjax.evaluation.conditions import Conditions
@@ -16,6 +16,7 @@ from quadjax.flights.flight import MOTORS, Flight, Signal
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flight import Plan
 from quadjax.plant.flights import (
+    Flights,
     fly_plan,
     log_quantities,
     plan_race,
@@ -76,10 +77,19 @@ def fly_plants(
             result.append(flight.of_drone(constants))
         return result
 
-    best = race.evaluate.best_known_lap
+    best, drone = race.evaluate.best_known_lap, race_config(race, policy)
     by_drone = flown.laps.ordered(np.arange(runs).reshape(-1, count).T.ravel())
-    published = flown_row(race_config(race, policy), plant, protocol.laps)
-    return Row(name, by_drone, label, count, None, None, record, published, best)
+    published = flown_row(drone, plant, protocol.laps)
+    share = _limit_share(flown, drone.vehicle)
+    return Row(name, by_drone, label, count, None, None, record, published, best, share)
+
+
+def _limit_share(flown: Flights, drone: Vehicle) -> float:
+    """Share of the motor commands of the recorded flights that are at a limit of the drone."""
+    constants, count = drone.with_model("motor").constants, flown.frames.over.shape[1]
+    commands = [rows(flown, flown.frames.rpm_command, run) for run in range(count)]
+    command, low, high = np.concatenate(commands), constants["rpm_min"], constants["rpm_max"]
+    return float(((command <= low + 1.0) | (command >= high - 1.0)).mean())
 
 
 @single_precision

@@ -41,6 +41,7 @@ class Row:
     record: Callable[[], list[Flight]] = dataclasses.field(default=list, repr=False)
     published: Optional["Row"] = None  # the published row of the same race and protocol
     best_known_lap: float | None = None  # s, in the race
+    at_limit: float = math.nan  # share of the motor commands at a limit, on a plant
 
     @property
     def runs(self) -> int:
@@ -163,19 +164,6 @@ def speeds_of(
         first = np.nan_to_num(laps.lap_times[:, 0])
     above = time_step * (going & (speed > limit)).sum(axis=0)
     return Speeds(first, speed.max(axis=0), above)
-
-
-def common(first: Row, second: Row) -> tuple[Row, Row]:
-    """Two rows with the laps of the flights that both finish, NaN of the others.
-
-    The flights of one index are of the same plant, battery and noise.
-    """
-    both = (first.done & second.done)[:, None]
-    laps = [
-        dataclasses.replace(row.laps, lap_times=np.where(both, row.laps.lap_times, np.nan))
-        for row in (first, second)
-    ]
-    return dataclasses.replace(first, laps=laps[0]), dataclasses.replace(second, laps=laps[1])
 
 
 def concatenate(laps: Sequence[Laps]) -> Laps:

@@ -91,11 +91,10 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def interval_text(values: np.ndarray, sign: bool = False) -> str:
+def interval_text(values: np.ndarray) -> str:
     """Mean and half the width of the 95% interval of values (n,) as text; see ``interval``."""
     mean, width = interval(values)
-    text = f"{mean:+.2f}" if sign else number(mean)
-    return f"{text} ± {width:.2f}" if np.isfinite(width) else text
+    return f"{number(mean)} ± {width:.2f}" if np.isfinite(width) else number(mean)
 
 
 def lap_table(rows: Sequence[Row]) -> Table:

@@ -110,7 +110,7 @@ evaluate e2e --policy e2e --body 0
 evaluate e2e --policy e2e --range position=8
 evaluate e2e --policy e2e --fixed-point --range position=3
 evaluate e2e --policy e2e --conditions nosuch
-compare standin --runs 25
+compare standin --drones 10 --runs 25
 compare nosuch
 export e2e --output out --range position
 export e2e --output out --range a=1 --range a=2

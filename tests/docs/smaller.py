@@ -11,6 +11,7 @@ CODE = [  # in Python
     (r"\bsteps=[\d_]+", "steps=512"),
     (r"\.learn\([\d_]+\)", ".learn(512)"),
     (r"\bruns=\d+", "runs=1"),
+    (r"\bdrones=\d+", "drones=1"),
     (r"\bflights=\d+, laps=\d+", "flights=2, laps=1"),
     (r"\bnum_envs=\d+", "num_envs=16"),
     (r"\bhorizon=\d+", "horizon=4"),

@@ -2,13 +2,15 @@
 
 The trainings of the quickstart run; those of the other pages leave the policy as it begins, write
 no checkpoint, and end without a lap table: their race is traced. Trials of a sweep train nothing.
-``compare``, ``fit`` and ``limit`` read their arguments and files only, ``verify`` on all pages but
-one: ``tests/evaluation`` and ``tests/surface`` run them. Flights of exported C end early. The
-blocks of a page run in order in one folder. Python blocks share a namespace; a block with a title
-is written to a file of that name; shell blocks consist of ``quadjax`` commands.
+``fit`` and ``limit`` read their arguments and files only, as ``verify`` does on all pages but one,
+and ``compare`` flies nothing: ``tests/evaluation`` and ``tests/surface`` run them. Flights of
+exported C end early. The blocks of a page run in order in one folder. Python blocks share a
+namespace; a block with a title is written to a file of that name; shell blocks consist of
+``quadjax`` commands.
 """
 
 import dataclasses
+import importlib
 import re
 import shlex
 import shutil
@@ -23,9 +25,10 @@ import numpy as np
 import pytest
 import yaml
 
-from quadjax import compare, replay
+from quadjax import replay
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.evaluation import report, training
+from quadjax.evaluation.rows import Row
 from quadjax.export.verify import run as verification
 from quadjax.fitting import fit
 from quadjax.fitting import report as fit_report
@@ -44,6 +47,7 @@ from tests.docs.smaller import CODE, WIDE, load_short, short_overrides, smaller
 from tests.sil.support import short_world
 from tests.sweeps.stand_in import nothing
 
+compare = importlib.import_module("quadjax.evaluation.compare")  # not the function
 NO_LAPS = Laps(np.full((1, 1), np.nan), ("out of time",), np.ones(1), 1.0)
 TRAINED = ("docs/getting_started/quickstart.md",)
 VERIFIED = ("docs/guide/autopilots.md",)  # pages on which verify runs
@@ -55,7 +59,7 @@ OPTIONS = {  # added to a command, unless it has them
     "logs": ["--flights", "1", "--laps", "1"],
     "sil": ["--laps", "1"],
     "view": ["--laps", "1"],
-    "compare": ["--runs", "2", "--laps", "1", "--parts", "table"],
+    "compare": ["--runs", "2", "--laps", "1", "--drones", "1"],
     "export": ["--allow-unfinished", *(f"--range={name}={size:g}" for name, size in WIDE.items())],
     "verify": ["--allow-unfinished", "--vectors", "100"],
 }
@@ -119,6 +123,11 @@ def write_fitted(_, folder):
     return []
 
 
+def unflown(*_, **__):
+    """As ``evaluate``, of a flight without a lap."""
+    return SimpleNamespace(rows=[Row("", NO_LAPS, "sampled, 1 run")])
+
+
 def in_this_process(command, **options):
     """As ``subprocess.run`` of ``python -m quadjax ARGUMENTS``."""
     assert command[1:3] == ["-m", "quadjax"]
@@ -142,7 +151,7 @@ def train_nothing(monkeypatch):
 def test_blocks_run(page, folder, monkeypatch):
     for module in (replay, report):
         monkeypatch.setattr(module, "FORMATS", ("png",))
-    monkeypatch.setattr(compare, "compare", lambda *_: "")
+    monkeypatch.setattr(compare, "evaluate", unflown)
     monkeypatch.setattr(fit, "fit", lambda *_: None)
     for name, stand_in in {"write_results": write_fitted, "write_figures": lambda *_: []}.items():
         monkeypatch.setattr(fit_report, name, stand_in)

@@ -1,27 +1,28 @@
-"""E2E against INDI: rows, the lead on common flights, drawn plants, and the command."""
+"""E2E against INDI: worlds and trainings, the tables, the races flown, and the command."""
 
 import importlib
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import quadjax
 from benchmarks.ablation import VARIANTS
-from quadjax import compare
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError, InputWarning
 from quadjax.core.resources import PRETRAINED
-from quadjax.evaluation import report
-from quadjax.evaluation.rows import Row, concatenate
-from quadjax.flights.flight import Flight, Signal
+from quadjax.evaluation.conditions import Condition
+from quadjax.evaluation.result import Evaluation
+from quadjax.evaluation.rows import Row
 from quadjax.training.build import untrained_policy
 from tests.commands import run
 from tests.evaluation.support import flights
 
-evaluation = importlib.import_module("quadjax.evaluation.evaluate")  # not the function
+comparison = importlib.import_module("quadjax.evaluation.compare")  # not the function
+evaluation = importlib.import_module("quadjax.evaluation.evaluate")
 ROOT = Path(__file__).resolve().parents[2]
+FASTER = {"motor": 0.0, "rate": 0.25}  # s of a lap: INDI is slower
 
 
 def laps(*seconds):
@@ -29,73 +30,104 @@ def laps(*seconds):
     return flights(*6.0 * np.array(seconds), laps=6, before=3)
 
 
-def evaluated(flown, command, unit="rpm", name="command"):
-    values = Signal(np.full((10, 4), command), unit)
-    flight = Flight("", np.arange(10.0), {name: values, "command": values})
-    return SimpleNamespace(row=Row("", flown), laps=flown, flights=[flight])
+@pytest.fixture
+def flown(monkeypatch):
+    """Flights of 2.5 s a lap of E2E and 2.75 s of INDI in place of simulated ones, as asked for.
+
+    On the plant they take 0.1 s more on the first drone, and 0.3 s and a crash of E2E on another.
+    """
+    calls = []
+
+    def evaluate(policy, config, **how):
+        calls.append((policy, config, how))
+        slower = FASTER[policy.vehicle]
+        simulated = laps(2.5 + slower, 2.5 + slower)
+        crash = np.nan if policy.vehicle == "motor" else 4.0
+        plant = laps(2.6 + slower, 2.6 + slower, 2.8 + slower, crash)
+        labels = [x.label for x in how["conditions"].conditions] if how["conditions"] else ["-"]
+        result = ("", simulated) if how["plant"] is None else ("", plant)
+        drones = {} if how["plant"] is None else {"drones": 2, "at_limit": 0.45}
+        rows = [
+            Row(*result, "sampled, 4 runs" if label == "-" else label, **drones) for label in labels
+        ]
+        return Evaluation(tuple(rows), None, {})
+
+    monkeypatch.setattr(comparison, "evaluate", evaluate)
+    return calls
 
 
-def test_the_table_has_flights_of_this_comparison_only():
+def test_both_fly_in_the_simulator_and_on_the_plant(flown):
     """INDI finishes a slow flight that E2E does not: without it the lead is 0.25 s a lap."""
-    flown = {
-        "E2E simulated": evaluated(laps(2.5, 2.5), 7000.0),
-        "E2E stand-in plant": evaluated(laps(*[2.6] * 5, np.nan), 11000.0, name="motor_command"),
-        "INDI simulated": evaluated(laps(2.75, 2.75), 7.0, ("rad/s",) * 4),
-        "INDI stand-in plant": evaluated(laps(*[2.85] * 5, 4.0), 3000.0, name="motor_command"),
-    }
-    vehicle = load_config("e2e +residual").vehicle
-    text = compare.table_text({"E2E": vehicle, "INDI": vehicle}, flown)
-    ahead = "flights that both finish: +1.50 s; first lap +0.25 s, each later lap +0.25 s"
+    duel = quadjax.compare("e2e", "indi", plant="standin", drones=2, runs=4)
+    text, lead = duel.table(), duel.lead()
     for line in (
-        "5/6",
-        f"E2E's lead over INDI, simulated, on the 2 of 2 {ahead}",
-        f"E2E's lead over INDI, stand-in plant, on the 5 of 6 {ahead}",
-        "E2E's rpm commands at a limit: 0% simulated, 100% stand-in plant\n",
-        "INDI's rpm commands at a limit: 100% stand-in plant",
-        "E2E stand-in plant: run 6: hit a gate in lap 4",
+        "E2E simulated, sampled   2.50",
+        "E2E plant, sampled       2.67",
+        "3/4 20.89",
+        "E2E plant, sampled: run 4: hit a gate in lap 4",
+        "motor commands at a limit: E2E plant 45%, INDI plant 45%",
+        "score: mean of all flights; one that does not finish counts as 31.50 s to 35.57 s",
     ):
         assert line in text, text
     assert "published" not in text
-    shares = [compare.limit_fraction(vehicle, result) for result in flown.values()]
-    assert shares == [0.0, 1.0, None, 1.0]
-    none = Row("", laps(np.nan, 2.75))
-    text = compare.lead("simulated", Row("", laps(2.5, np.nan)), none)
-    assert text == "E2E's lead over INDI, simulated: no flight that both finish"
+    assert "simulated            +1.50" in lead and "+0.25 [+0.25, +0.25]" in lead and "3/4" in lead
+    assert "95% intervals, plant: over 2 drones, flights; one training each" in lead
+    assert [len(x.leads.drones) for x in duel.worlds.values()] == [1, 2]
+    plant = duel.worlds["plant"]
+    assert plant.laps[0].shape == (2, 1, 2, 6) and plant.leads.score.mean < 0.0 < plant.leads.pairs
+    assert repr(duel).startswith("Comparison(E2E's lead over INDI: simulated +1.50")
+    how = [(x["plant"] and x["plant"].name, x["drones"], x["runs"]) for *_, x in flown]
+    assert how == 2 * [(None, None, 4), ("standin", 2, 4)]
+    assert len(duel.plot().axes) == 3
+    written = json.loads(json.dumps(duel.to_json(), allow_nan=False))
+    assert written["worlds"]["plant"]["lead"]["pairs"] == 3
+    assert written["worlds"]["simulated"]["E2E"]["at_limit"] is None
+    (origin,) = written["provenance"]["policies"]["INDI"]
+    assert origin["sha256"] and origin["race"]["name"] == "indi_seed0"
 
 
-def on_plants(*plants):
-    return [Row("", concatenate([laps(*each) for each in plants]), "all effects", len(plants))]
+def test_trainings_of_a_contender_are_told_apart(flown):
+    """Two of E2E by policy and file, one of INDI; the score counts a failed flight as 20 s."""
+    pair = [quadjax.Policy.load("e2e"), PRETRAINED / "e2e.npz"]
+    duel = quadjax.compare(pair, "indi", plant="standin", failed_after=20.0, names=("new", "old"))
+    plant = duel.worlds["plant"]
+    assert [x.shape[1] for x in plant.laps] == [2, 1] and plant.leads.of == 8
+    assert plant.leads.scores == pytest.approx(
+        ((15.6 + 15.6 + 16.8 + 20) / 4, (17.1 + 17.1 + 18.3 + 24) / 4)
+    )
+    assert "6/8" in duel.table() and "new's lead over old" in duel.lead("markdown")
+    assert "over 2 drones, 2 and 1 trainings, flights" in duel.lead()
+    assert len(duel.to_json()["provenance"]["policies"]["new"]) == 2
 
 
-def test_the_table_of_plants_is_of_the_flights_that_both_finish():
-    """E2E finishes the fast plant alone, INDI both: without INDI's slow plant it is slower."""
-    e2e, indi = on_plants((2.4, 2.4), (np.nan, 2.5)), on_plants((2.9, 2.9), (3.0, 3.0))
-    text, _ = compare.plants_table(e2e, indi)
-    assert "14.70 ± 3.81" in text and "3/4" in text and "4/4" in text
-    assert "E2E, all effects, early ends: hit a gate 1\n" in text
-    assert "+3.00 ± 0.00 s; first lap +0.50 ± 0.00 s, each later lap +0.50 ± 0.00 s" in text
-    e2e, indi = on_plants((2.5, np.nan), (np.nan, np.nan)), on_plants((2.4, 3.0), (3.0, 3.0))
-    text, numbers = compare.plants_table(e2e, indi)
-    assert "all effects 15.00 1/4 14.40 4/4" in " ".join(text.split())
-    assert "all effects: both finish 1 of 4 flights, on 1 of 2 drones" in text
-    assert "all effects, on the 1 of 4 flights that both finish: -0.60 s; first lap -0.10 s" in text
-    found = numbers["INDI"]["all effects"]
-    assert found["mean"] == pytest.approx(14.4) and found["each plant"][1] is None
-    assert (found["both finish"], found["finished"], found["runs"]) == (1, 4, 4)
+def test_conditions_have_a_line_each(flown):
+    conditions = [
+        Condition(label="calm"),
+        Condition(label="windy", plant=("effects.gusts=2",)),
+    ]
+    duel = quadjax.compare("e2e", "indi", plant="standin", conditions=conditions, failed_after=30.0)
+    text = " ".join(duel.table().split())
+    assert "E2E finished score INDI finished score lead" in text
+    assert "calm 16.00 3/4 19.50 19.12 4/4 19.12 +1.50 [+1.50, +1.50] windy" in text
+    assert "counts as 30.00 s" in text and "commands at a limit" not in text
+    assert [how["plant"].name for *_, how in flown] == ["standin", "standin"]
+    assert "95% intervals: over 2 drones" in duel.lead() and duel.plot().axes
+    quadjax.compare("e2e", "indi", conditions="plants")
+    assert flown[-1][2]["plant"].name == "standin" and flown[-1][2]["drones"] is None
 
 
-def test_contenders_fly_their_own_races_which_must_be_alike(tmp_path, capsys):
+def test_contenders_fly_their_own_races_which_must_be_alike(tmp_path, capsys, flown):
     """INDI of a thrust of up to 18 m/s^2: in its own race, and with its constants in another."""
     own = load_config("indi", ["vehicle.constants.thrust_max=18"])
-    files = {"E2E": PRETRAINED / "e2e.npz", "INDI": tmp_path / "indi18.npz"}
-    untrained_policy(own).save(files["INDI"])
-    found = compare.contenders(files)["INDI"]
-    assert found.race.vehicle.constants["thrust_max"] == 18.0
+    file = tmp_path / "indi18.npz"
+    untrained_policy(own).save(file)
+    quadjax.compare("e2e", file, plant="standin")
+    assert [race.vehicle.constants["thrust_max"] for _, race, _ in flown[2:]] == [18.0, 18.0]
     with pytest.warns(InputWarning, match="thrust_max is 18 in training, 15 here"):
-        named = compare.contenders(files, load_config("e2e"))["INDI"]
-    assert found.drone.constants == named.drone.constants == own.vehicle.constants
-    untrained_policy(load_config("indi", ["track=figure8"])).save(files["INDI"])
-    assert run("compare", "standin", "--indi", files["INDI"], "--output", tmp_path) == 2
+        quadjax.compare("e2e", file, race="e2e")
+    assert flown[-1][1].vehicle.constants == own.vehicle.constants
+    untrained_policy(load_config("indi", ["track=figure8"])).save(file)
+    assert run("compare", "standin", "--indi", "indi", file, "--output", tmp_path) == 2
     error = capsys.readouterr().err
     assert "track is square4 in the race of" in error and "(--race CONFIG)" in error
     change = "vehicle.constants.thrust_max=18"
@@ -103,18 +135,18 @@ def test_contenders_fly_their_own_races_which_must_be_alike(tmp_path, capsys):
     assert "(overrides change the plant, not the race)" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("part", ["plants", "table"])
-def test_a_race_of_neither_is_told_once_of_each(part, tmp_path, capsys, monkeypatch):
-    """The warnings are those of the contenders, although each flies several times."""
+@pytest.mark.parametrize("stops", ["fly_plants", "simulate"])
+def test_a_race_of_neither_is_told_once_of_each(stops, tmp_path, capsys, monkeypatch):
+    """The warnings are those of the policies, although each flies several times."""
 
     def stop(*_, **__):
         raise InputError("stopped")
 
-    monkeypatch.setattr(evaluation, {"plants": "fly_plants", "table": "simulate"}[part], stop)
+    monkeypatch.setattr(evaluation, stops, stop)
     race = tmp_path / "race.yaml"
     race.write_text("base: e2e\nrules: {position_limit: 20}\n")
-    where = ("--race", race, "--parts", part, "--output", tmp_path)
-    assert run("compare", "standin", *where) == 2
+    more = ["--conditions", "rates"] if stops == "fly_plants" else []
+    assert run("compare", "standin", "--race", race, *more, "--output", tmp_path) == 2
     error = capsys.readouterr().err
     assert "error: stopped" in error and error.count("trained in another race") == 2
 
@@ -129,15 +161,16 @@ def test_policies_of_the_ablation_can_be_trained(variant, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_command_flies_draws_and_writes(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(report, "FORMATS", ("png",))  # test_report.py writes every format
-    options = ["--runs", 2, "--laps", 1, "--drones", 2, "--conditions", "all effects"]
-    assert run("compare", "standin", *options, "--output", tmp_path) == 0
+def test_the_command_flies_and_writes(tmp_path, capsys):
+    pair = ["--e2e", "e2e", PRETRAINED / "e2e.npz", "--indi", "indi", "--deterministic"]
+    options = ["--runs", 2, "--laps", 1, "--drones", 2]
+    assert run("compare", "standin", *pair, *options, "--output", tmp_path) == 0
     text = capsys.readouterr().out
-    assert "E2E simulated" in text and "2 drawn drones" in text
-    written = json.loads((tmp_path / "compare" / "compare.json").read_text())
-    assert written["INDI"]["stand-in plant"]["finished"] == 2
-    assert written["plants"]["E2E"]["all effects"]["runs"] == 2
-    names = {path.name for path in (tmp_path / "compare" / "report").iterdir()}
-    assert {"gaps.png", "trajectories.png", "errors_4.png", "table.tex"} <= names
-    assert len(written["rms error to the first-order response"]["INDI stand-in plant"]) == 3
+    assert "E2E plant, deterministic" in text and "2 and 1 trainings" in text
+    folder = tmp_path / "compare"
+    assert (folder / "table.txt").read_text() == text
+    written = json.loads((folder / "compare.json").read_text())
+    assert written["worlds"]["plant"]["INDI"]["finished"] == 2
+    assert written["worlds"]["plant"]["E2E"]["trainings"] == 2
+    names = {"table.txt", "compare.json", "compare.png", "config.yaml"}
+    assert names <= {path.name for path in folder.iterdir()}

@@ -5,7 +5,7 @@ import importlib
 
 import pytest
 
-from quadjax import compare, sources
+from quadjax import sources
 from quadjax.config import assembly
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
@@ -20,7 +20,9 @@ from quadjax.training.build import untrained_policy
 from tests.commands import run
 from tests.frozen.parts import RACES
 
-evaluation = importlib.import_module("quadjax.evaluation.evaluate")  # not the function
+evaluation, compare = (  # not the functions
+    importlib.import_module(f"quadjax.evaluation.{name}") for name in ("evaluate", "compare")
+)
 
 
 @pytest.fixture
@@ -114,7 +116,7 @@ def test_every_command_warns_of_another_race(tmp_path, capsys, monkeypatch):
         (race_source, "policy_race"),
         (plant_flights, "plan_race"),
         (guess, "race_of"),
-        (compare, "compare"),
+        (compare, "evaluate"),
     ):
         monkeypatch.setattr(module, name, stop)
     own = load_config("indi", ["vehicle.constants.thrust_max=18"])

@@ -133,12 +133,17 @@ evaluate --flights A= | A=: expected LABEL=FILE
 evaluate --flights =a.npz | LABEL=FILE
 evaluate --flights notes.txt | .npz .csv
 evaluate --flights short.csv | short.csv format
-compare standin --parts tables | --parts
-compare standin --conditions calm | plants: 'calm' effects
-compare standin --parts table --conditions 'all effects' | --conditions effect
+compare nosuch | nosuch cyberzoo
+compare effects.gusts=0 | effects.gusts=0 cyberzoo
+compare --drones 2 | drones 2 plant
+compare standin --conditions calm | lists of conditions quadjax: damage
+compare standin --conditions plants --only calm | plants: 'calm' effects
+compare standin --only calm | --only effect --conditions
 compare standin --e2e indi | rate motor
+compare standin --e2e e2e nosuch | --e2e nosuch e2e_residual
+compare standin --failed-after 0 | --failed-after 0
 compare standin effects.wind=1 | effects.wind
-compare standin --runs 25 | --runs multiples (10)
+compare standin --drones 10 --runs 25 | --runs multiples (10)
 compare standin --name ../zz | ../zz
 compare standin control_rate=300 | control_rate 300
 compare standin sample_rate=400 | sample_rate
