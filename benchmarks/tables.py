@@ -4,6 +4,7 @@ import statistics
 from collections.abc import Callable
 from typing import NamedTuple
 
+from benchmarks.comparison_tables import contenders, lead_rows, steps
 from benchmarks.settings import Tree
 
 CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
@@ -70,6 +71,8 @@ COLUMNS: dict[str, Callable[[Tree], str]] = {
     "seed": lambda row: str(row["seeds"][0]),
 }
 BODY = "sampled|with a body=body|body and hall=hall|random starts|with a body=random starts, body"
+SCORED = "drones and seeds|score, s|of each seed, s|finished"
+LEADS = "score, s|time, s|first lap, s|each later lap, s"
 MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"
 TABLES = {
     "readme": Table("presets", f"preset|{MEAN}", of_readme),
@@ -80,6 +83,10 @@ TABLES = {
     "table1": Table("table1", "policy|sampled, s|mean, s|hover|random starts"),
     "published": Table("published", "name|noise|mean|sampled|mean, random|sampled, random"),
     "body": Table("body", f"file|{BODY}", with_bodies),
+    "plant": Table("plant", "name|noise|mean action=mean|sampled"),
+    "tournament": Table("tournament", f"contender|{SCORED}", contenders),
+    "leads": Table("tournament", f"lead of E2E|{LEADS}", lead_rows),
+    "interventions": Table("interventions", f"step=contender|{SCORED}", steps),
 }
 
 
