@@ -4,7 +4,14 @@ import statistics
 from collections.abc import Callable
 from typing import NamedTuple
 
-from benchmarks.comparison_tables import contenders, lead_rows, steps
+from benchmarks.comparison_tables import (
+    CHARGES,
+    charged,
+    contenders,
+    lead_rows,
+    steps,
+    unchanged,
+)
 from benchmarks.settings import Tree
 
 CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
@@ -83,7 +90,8 @@ TABLES = {
     "table1": Table("table1", "policy|sampled, s|mean, s|hover|random starts"),
     "published": Table("published", "name|noise|mean|sampled|mean, random|sampled, random"),
     "body": Table("body", f"file|{BODY}", with_bodies),
-    "plant": Table("plant", "name|noise|mean action=mean|sampled"),
+    "plant": Table("plant", "name|noise|mean action=mean|sampled", unchanged),
+    "charge": Table("plant", "name|" + "|".join(CHARGES), charged),
     "tournament": Table("tournament", f"contender|{SCORED}", contenders),
     "leads": Table("tournament", f"lead of E2E|{LEADS}", lead_rows),
     "interventions": Table("interventions", f"step=contender|{SCORED}", steps),
