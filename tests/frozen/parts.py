@@ -136,7 +136,19 @@ def flights() -> Iterator[tuple[str, Record]]:
 
 def plant() -> Iterator[tuple[str, Record]]:
     """100 flights of E2E and INDI on the plant."""
-    command("compare", "standin", "--deterministic", "--drones", 1, "--output", "runs")
+    command(
+        "compare",
+        "standin",
+        "--e2e",
+        "e2e",
+        "--indi",
+        "indi",
+        "--deterministic",
+        "--drones",
+        1,
+        "--output",
+        "runs",
+    )
     worlds = json.loads(Path("runs/compare/compare.json").read_text())["worlds"]
     flights = [world[name] for world in worlds.values() for name in ("E2E", "INDI")]
     table = numbers_of(json.dumps(flights))

@@ -128,7 +128,18 @@ def test_every_command_warns_of_another_race(tmp_path, capsys, monkeypatch):
     text = "thrust_max is 18 in training, 15 here (without a config it flies its own race)"
     export, sil = ("export", path, "--output", tmp_path / "c"), ("sil", path, "--output", tmp_path)
     logs = ("logs", "standin", "--policy", path, "--output", tmp_path / "logs")
-    duel = ("compare", "standin", "--indi", path, "--output", tmp_path)
+    duel = (
+        "compare",
+        "standin",
+        "--e2e",
+        "e2e",
+        "--e2e",
+        "e2e",
+        "--indi",
+        path,
+        "--output",
+        tmp_path,
+    )
     for words, race in (
         *commands(path, tmp_path)[:2],
         ((*export, "--allow-other-race"), ("--race", "indi")),
