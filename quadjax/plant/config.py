@@ -47,7 +47,6 @@ class EffectsConfig(Section):
     ground: NonNegative = Field(1.0, description="thrust gained near the ground")
     flapping: NonNegative = Field(1.0, description="moments of blade flapping")
     motors: NonNegative = Field(1.0, description="second time constant of the motors")
-    flex: NonNegative = Field(1.0, description="vibration mode of the frame")
     battery: NonNegative = Field(1.0, description="sag of the battery")
     gusts: NonNegative = Field(1.0, description="turbulence")
     constants: NonNegative = Field(1.0, description="deviation of the drone's constants")
@@ -115,14 +114,6 @@ class AirframeConfig(Section):
             if name not in VARIABLES:
                 raise ValueError(f"airframe.limits has {name!r}, allowed: {', '.join(VARIABLES)}")
         return self
-
-
-@register
-class FlexConfig(Section):
-    """First vibration mode of the frame about each axis."""
-
-    frequency: Positive = Field(32.0, description="Hz; assumed: the body sits on rubber dampers")
-    damping: NonNegative = Field(0.06, description="fraction of critical; assumed")
 
 
 @register
@@ -214,7 +205,6 @@ class PlantConfig(Section):
     motors: MotorsConfig = MotorsConfig()
     airframe: AirframeConfig = AirframeConfig()
     residual: str | None = Field(None, description="residual file, in addition to the effects")
-    flex: FlexConfig = FlexConfig()
     imu: ImuConfig = ImuConfig()
     battery: BatteryConfig = BatteryConfig()
     gusts: GustsConfig = GustsConfig()
