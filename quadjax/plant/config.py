@@ -1,4 +1,4 @@
-"""Config of the stand-in plant: its physics, sensors and inner loop.
+"""Config of a plant: its physics, sensors and inner loop.
 
 A section with numbers of the plant is also their traced form (``quadjax.core.traced``).
 "assumed" in a description marks a number without a published value for a Bebop 1.
@@ -183,7 +183,7 @@ class IndiSimpleConfig(Section):
 
 
 class PlantConfig(Section):
-    """The stand-in plant."""
+    """A plant: a simulated drone, or a population of them."""
 
     name: str = Field("standin", pattern=r"^[\w-][\w.-]*$", description="folder of results")
     vehicle: str = Field("bebop1.yaml", description="the training model's file in configs/vehicles")

@@ -1,4 +1,4 @@
-"""The stand-in plant: the motor-level drone with effects that the training model lacks.
+"""The plant: the motor-level drone with effects that the training model lacks.
 
 Functions are of one drone; batch with ``vmap``. Each effect is multiplied by its strength: with all
 of them zero the derivative is that of ``quadjax.vehicle.motor``.

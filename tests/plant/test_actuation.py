@@ -1,4 +1,4 @@
-"""Motors, battery and gusts of the stand-in plant, each as its source says."""
+"""Motors, battery and gusts of a plant, each as its source says."""
 
 import jax
 import jax.numpy as jnp

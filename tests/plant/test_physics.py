@@ -1,4 +1,4 @@
-"""The stand-in plant's physics: the training model with all off, and each effect as its source."""
+"""A plant's physics: the training model with all off, and each effect as its source."""
 
 import functools
 from pathlib import Path
