@@ -274,6 +274,7 @@ class PlantConfig(Section):
         for key, values in self.population.items():
             with prefixed(f"population.{key}"):
                 value_at(self, key)  # or an error
+            with prefixed(f"population.{key}, drone {number % self.size}"):
                 own = with_value(own, key, values[number % self.size])
         return own
 
