@@ -9,7 +9,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from quadjax.core.errors import InputError, prefixed
+from quadjax.core.errors import InputError, prefixed, short
 from quadjax.core.section_keys import value_at, with_value
 from quadjax.core.sections import (
     LARGEST,
@@ -187,6 +187,9 @@ class PlantConfig(Section):
 
     name: str = Field("standin", pattern=r"^[\w-][\w.-]*$", description="folder of results")
     vehicle: str = Field("bebop1.yaml", description="the training model's file in configs/vehicles")
+    fitted_vehicle: str | None = Field(
+        None, description="file of the vehicle that airframe and population are of; null: any"
+    )
     mass: Positive | None = Field(
         None, description="kg, of the drone with its load; null: that of the vehicle file"
     )
@@ -242,6 +245,16 @@ class PlantConfig(Section):
         ):
             if not is_possible:
                 raise ValueError(f"{key} is {attrgetter(key)(self)}, allowed: {allowed}")
+        return self
+
+    @model_validator(mode="after")
+    def _of_its_vehicle(self) -> Self:
+        vehicle, fitted = self.vehicle, self.fitted_vehicle or self.vehicle
+        if vehicle.removesuffix(".yaml") != fitted.removesuffix(".yaml"):
+            raise ValueError(
+                f"vehicle is {short(vehicle)}, but airframe and population of {self.name} are "
+                f"fitted to {fitted}; for another drone use base: plant/standin"
+            )
         return self
 
     @model_validator(mode="after")
