@@ -1,4 +1,4 @@
-"""Ablation of residual, disturbance observation and randomization of E2E on the stand-in plant.
+"""Ablation of residual, disturbance observation and randomization of E2E on the plant ``standin``.
 
 Each variant is a policy of ``quadjax/pretrained/ablation``, or of a folder that is named, such as
 the ``runs`` of trainings; its training; and its disturbance observation. A policy that is missing
@@ -34,7 +34,7 @@ class Variant(NamedTuple):
     label: str
     policy: str
     training: tuple[str, ...]
-    residual: bool = False  # whether the onboard model has that of the stand-in plant
+    residual: bool = False  # whether the onboard model has that of the plant
     disturbance: str = "estimated"  # that it observes on the plant
 
 

@@ -70,7 +70,7 @@ def fit_page() -> str:
 
 
 def plant_page() -> str:
-    """Every key of a stand-in plant's config, by section."""
+    """Every key of a plant's config, by section."""
     from quadjax.plant.config import PlantConfig
 
     return _page("Plant config keys", _sections_of(PlantConfig, "The plant"))

@@ -32,12 +32,12 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "sweep": "search hyperparameters",
     "fit": "fit the model of a drone to its flight logs",
     "replay": "replay a flight log through a policy and a model",
-    "compare": "compare E2E with INDI, in simulation and on the plant",
+    "compare": "compare E2E with INDI, in simulation and on a plant",
     "export": "convert a policy to fixed-point C",
     "verify": "build, run and check exported C",
     "sil": "fly exported C on a simulated drone",
     "import": "convert a network of another project to a policy or residual file",
-    "logs": "write flight logs of the stand-in plant or of a known model",
+    "logs": "write flight logs of a plant or of a known model",
     "show": "list what comes with the package, or print one of it",
 }
 

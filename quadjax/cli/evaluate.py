@@ -78,8 +78,8 @@ def evaluate(
     - random-tracks: one flight from hover on each of --runs random tracks, those of
       randomization.tracks with the seeds that follow;
     - damage: moments, thrust, residual, a damaged rotor, a shifted mass;
-    - plants: drawn drones of the stand-in plant, without each effect, and with each alone;
-    - rates: the policy at 100, 250 and 512 Hz on drawn drones of the stand-in plant.
+    - plants: drawn drones of a plant, without each effect, and with each alone;
+    - rates: the policy at 100, 250 and 512 Hz on drawn drones of a plant.
 
     With --flights, recorded flights are evaluated: states of an earlier --states
     FILE.npz, or flight logs (.csv, a glob pattern for several). DIR gets tables and
@@ -97,7 +97,7 @@ def evaluate(
         start: hover (the default), around it, random (the states of training), or before_gate.
         seed: Seed of noise, disturbances and starts.
         deterministic: Mean actions only.
-        plant: Fly on the stand-in plant of this config.
+        plant: Fly on the plant of this config.
         drones: Number of drones of the plant, which share the runs (default: as many of its
             population as share them equally).
         fixed_point: Use the arithmetic of the exported C.

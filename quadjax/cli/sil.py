@@ -34,7 +34,7 @@ def sil(
     *overrides: opt.Overrides,
     target: Target = DEFAULT_TARGET,
     race: opt.Race = None,
-    plant: opt.PlantConfig = "standin",
+    plant: opt.PlantConfig = "cyberzoo",
     simulator: opt.Flag = False,
     laps: opt.Laps | None = None,
     runs: opt.Runs = 1,
@@ -54,8 +54,8 @@ def sil(
     The C of DIR, a folder of quadjax export, or that of a policy is compiled for
     this machine: the glue of the target's autopilot, in a stand-in for its
     firmware. It gets the drone's state at every control step and returns the
-    command. The drone is the stand-in plant; key=value overrides change its config.
-    With --simulator, it is the simulator that policies are trained in, which the
+    command. The drone is a plant; key=value overrides change its config. With
+    --simulator, it is the simulator that policies are trained in, which the
     models racing and a2rl need. OUTPUT/NAME gets states.npz (for quadjax view and
     quadjax evaluate --flights), sil.json and table.txt.
 

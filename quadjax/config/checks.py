@@ -90,20 +90,18 @@ def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
     where = f"schedules{learner if key.startswith('learner.') else ''}"
     try:
         value = value_at(config, key)
-        if not isinstance(value, float):
-            raise BadValue(
-                name,
-                f"{name}: {key} may not change during training, allowed: the key of a number that "
-                "the config sets and that may have decimals, such as reward.gate",
-            )
-        for index, number in enumerate(schedule.linear):
+        for index, number in enumerate(schedule.linear if isinstance(value, float) else ()):
             where = f"{name}.linear[{index}]"
             if number != "value":
                 config.at(key, number)
-    except BadValue:
-        raise
     except InputError as error:
         raise BadValue(name, f"{where}: {error}") from None
+    if not isinstance(value, float):
+        raise BadValue(
+            name,
+            f"{name}: {key} may not change during training, allowed: the key of a number that "
+            "the config sets and that may have decimals, such as reward.gate",
+        )
     for end, time in (("from", schedule.start), ("until", schedule.until)):
         if time > 1 and schedule.by == "pass_rate":
             refuse(f"{name}.{end}", time, "a level up to 1 with by: pass_rate")

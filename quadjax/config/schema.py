@@ -4,6 +4,7 @@ Lengths are in m, velocities in m/s, angles in deg where the name says so and in
 world frame is north-east-down, the body frame front-right-down.
 """
 
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import PrivateAttr, SerializeAsAny
@@ -237,9 +238,9 @@ class Config(Section):
         """The config with another value at a dotted key; see ``with_value``."""
         return with_value(self, key, value)
 
-    def replace(self, **changes: Any) -> Self:
-        """A changed copy, as ``Section.replace``; it keeps its units if the race has the same."""
-        copy = super().replace(**changes)
+    def with_values(self, changes: Mapping[str, object], prefix: str = "") -> Self:
+        """A changed copy, as of ``Section``; it keeps its units if the race has the same."""
+        copy = super().with_values(changes, prefix)
         return copy.with_race_units(self._race_units) if copy._scale == self._scale else copy
 
     @property

@@ -81,15 +81,15 @@ def with_value(section: SectionType, key: str, value: object) -> SectionType:
     """A section with another value at a dotted key; only that field is validated.
 
     Raises:
-        InputError: no such key, or a value that is not allowed.
+        InputError: no such key, or a value that is not allowed; the message starts with the key.
     """
     return _with_value(section, key.split("."), value)
 
 
-def _with_value(node: Any, parts: Sequence[str], value: Any) -> Any:
+def _with_value(node: Any, parts: Sequence[str], value: Any, prefix: str = "") -> Any:
     head, rest = parts[0], parts[1:]
     if isinstance(node, dict):
         return {**node, ".".join(parts): value}
     if rest:
-        value = _with_value(getattr(node, head, {}), rest, value)
-    return node.replace(**{head: value})
+        value = _with_value(getattr(node, head, {}), rest, value, f"{prefix}{head}.")
+    return node.with_values({head: value}, prefix)

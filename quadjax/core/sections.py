@@ -163,12 +163,22 @@ class Section(pydantic.BaseModel):
         """A copy with other values, validated as a whole.
 
         Raises:
-            InputError: as ``validate``.
+            InputError: as ``validate``, of keys of this section.
         """
-        values = {
-            (f.alias or name): getattr(self, name) for name, f in type(self).model_fields.items()
-        }
-        return validate(type(self), {**values, **changes}, type(self).__name__)
+        with one_line_errors(type(self).__name__):
+            return self.with_values(changes)
+
+    def with_values(self, changes: Mapping[str, object], prefix: str = "") -> Self:
+        """As ``replace``; an error names the key alone, after ``prefix``, such as ``"motors."``.
+
+        Raises:
+            BadValue: a value that is not allowed.
+        """
+        fields = type(self).model_fields.items()
+        values = {(field.alias or name): getattr(self, name) for name, field in fields}
+        values |= changes
+        with _errors_of(type(self), values, prefix):
+            return type(self).model_validate(_plain(values))
 
 
 SectionType = TypeVar("SectionType", bound=Section)

@@ -10,7 +10,7 @@ from quadjax.race.legs import against_text
 from quadjax.training.result import Run
 from quadjax.vehicle.registry import base_model
 
-ON_PLANT = ("motor", "rate")  # vehicle models whose policies fly on the stand-in plant
+ON_PLANT = ("motor", "rate")  # vehicle models whose policies fly on a plant
 UNCERTAIN = "e2e_race_robust trains"  # for constants that differ from the model's
 UNCERTAIN_RATE = (  # no preset of the model rate draws them
     "indi_race randomization.all=0.2 'reward.gate_edge_margin=0.2 half gates' "

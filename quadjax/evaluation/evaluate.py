@@ -62,7 +62,7 @@ def evaluate(
             ("before_gate").
         seed: seed of the noise, the disturbances and the starts.
         conditions: a list of conditions, its file, or a name in ``configs/conditions``.
-        plant: config of the stand-in plant on which the policy flies; None: the simulator. On a
+        plant: config of the plant on which the policy flies; None: the simulator. On a
             plant, conditions that do not start from hover are left out.
         drones: number of drones of the plant, which share the runs: run ``i`` flies drone
             ``i % drones``; None: as many of its population as share them equally.

@@ -1,4 +1,4 @@
-"""Flights of a policy on the stand-in plant and on several that are drawn, and their logs."""
+"""Flights of a policy on a plant and on several that are drawn, and their logs."""
 
 import math
 from collections.abc import Callable

@@ -1,1 +1,1 @@
-"""The stand-in plant: unmodeled physics, sensors, estimator, inner loop."""
+"""Plants, simulated drones: unmodeled physics, sensors, estimator, inner loop."""

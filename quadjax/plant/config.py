@@ -1,4 +1,4 @@
-"""Config of the stand-in plant: its physics, sensors and inner loop.
+"""Config of a plant: its physics, sensors and inner loop.
 
 A section with numbers of the plant is also their traced form (``quadjax.core.traced``).
 "assumed" in a description marks a number without a published value for a Bebop 1.
@@ -9,7 +9,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from quadjax.core.errors import InputError, prefixed
+from quadjax.core.errors import InputError, prefixed, short
 from quadjax.core.section_keys import value_at, with_value
 from quadjax.core.sections import (
     LARGEST,
@@ -47,7 +47,6 @@ class EffectsConfig(Section):
     ground: NonNegative = Field(1.0, description="thrust gained near the ground")
     flapping: NonNegative = Field(1.0, description="moments of blade flapping")
     motors: NonNegative = Field(1.0, description="second time constant of the motors")
-    flex: NonNegative = Field(1.0, description="vibration mode of the frame")
     battery: NonNegative = Field(1.0, description="sag of the battery")
     gusts: NonNegative = Field(1.0, description="turbulence")
     constants: NonNegative = Field(1.0, description="deviation of the drone's constants")
@@ -118,14 +117,6 @@ class AirframeConfig(Section):
 
 
 @register
-class FlexConfig(Section):
-    """First vibration mode of the frame about each axis."""
-
-    frequency: Positive = Field(32.0, description="Hz; assumed: the body sits on rubber dampers")
-    damping: NonNegative = Field(0.06, description="fraction of critical; assumed")
-
-
-@register
 class ImuConfig(Section):
     """Place of the inertial unit and the vibration that reaches it; assumed."""
 
@@ -192,10 +183,13 @@ class IndiSimpleConfig(Section):
 
 
 class PlantConfig(Section):
-    """The stand-in plant."""
+    """A plant: a simulated drone, or a population of them."""
 
     name: str = Field("standin", pattern=r"^[\w-][\w.-]*$", description="folder of results")
     vehicle: str = Field("bebop1.yaml", description="the training model's file in configs/vehicles")
+    fitted_vehicle: str | None = Field(
+        None, description="file of the vehicle that airframe and population are of; null: any"
+    )
     mass: Positive | None = Field(
         None, description="kg, of the drone with its load; null: that of the vehicle file"
     )
@@ -214,7 +208,6 @@ class PlantConfig(Section):
     motors: MotorsConfig = MotorsConfig()
     airframe: AirframeConfig = AirframeConfig()
     residual: str | None = Field(None, description="residual file, in addition to the effects")
-    flex: FlexConfig = FlexConfig()
     imu: ImuConfig = ImuConfig()
     battery: BatteryConfig = BatteryConfig()
     gusts: GustsConfig = GustsConfig()
@@ -255,6 +248,16 @@ class PlantConfig(Section):
         return self
 
     @model_validator(mode="after")
+    def _of_its_vehicle(self) -> Self:
+        vehicle, fitted = self.vehicle, self.fitted_vehicle or self.vehicle
+        if vehicle.removesuffix(".yaml") != fitted.removesuffix(".yaml"):
+            raise ValueError(
+                f"vehicle is {short(vehicle)}, but airframe and population of {self.name} are "
+                f"fitted to {fitted}; for another drone use base: plant/standin"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _population(self) -> Self:
         first = next(iter(self.population), "")
         for key, values in self.population.items():
@@ -284,6 +287,7 @@ class PlantConfig(Section):
         for key, values in self.population.items():
             with prefixed(f"population.{key}"):
                 value_at(self, key)  # or an error
+            with prefixed(f"population.{key}, drone {number % self.size}"):
                 own = with_value(own, key, values[number % self.size])
         return own
 

@@ -1,4 +1,4 @@
-"""Effects of air, rotors and frame that the training model lacks.
+"""Effects of air and rotors that the training model lacks.
 
 Each function returns an *addition* to the nominal force or moment, or to a state's derivative, at
 full strength. World NED, body FRD; forces are specific.
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Rotors, Vec3, cross
-from quadjax.plant.config import FlexConfig, ImuConfig, RotorConfig
+from quadjax.plant.config import ImuConfig, RotorConfig
 from quadjax.vehicle.motor import MotorConstants
 
 RPM_PER_RAD_S = 60.0 / (2.0 * jnp.pi)
@@ -21,7 +21,6 @@ AIR_DENSITY = 1.225  # kg/m^3
 GROUND_DISCS = 4.0  # rotors close together, which act as one disc of their area
 LOCK_NUMBER = 3.0  # aerodynamic / inertial moment of a blade; assumed
 HUB_STIFFNESS = 0.03  # N m/rad, all hubs together; assumed
-PARTICIPATION = 0.15  # fraction of the angular acceleration that excites the frame; assumed
 GYRO_VIBRATION = 0.01  # rad/s, amplitude of one rotor in the gyro at its hover speed; assumed
 _NEAREST = 0.5  # rotor radii: least height of a disc above the ground in its effect
 _LEAST_RPM = 500.0  # least speed of a disc in flapping
@@ -100,24 +99,6 @@ def flapping_moment(
     roll = -arm * (per_speed * air_velocity.y + per_rate * rates.x)
     pitch = arm * (per_speed * air_velocity.x - per_rate * rates.y)
     return Vec3(roll, pitch, jnp.zeros_like(roll))
-
-
-def flex_acceleration(f: FlexConfig, angle: Vec3, rate: Vec3, driving: Vec3) -> Vec3:
-    """Second derivative, rad/s^2, of the frame's deflection about each axis.
-
-    A structural mode in its own coordinate (Meirovitch, "Fundamentals of vibrations", 2001,
-    chapter 7): ``eta'' + 2 zeta omega eta' + omega^2 eta = -b alpha`` with ``alpha`` the body's
-    angular acceleration. Parts mounted on it turn at the body rates plus ``eta'``.
-
-    Args:
-        f: the mode.
-        angle: deflection, rad.
-        rate: its derivative, rad/s.
-        driving: the rigid body's angular acceleration, rad/s^2.
-    """
-    omega = 2.0 * jnp.pi * f.frequency
-    driven = driving * (-PARTICIPATION)
-    return driven - angle * (omega * omega) - rate * (2.0 * f.damping * omega)
 
 
 def gyroscopic_moment(c: MotorConstants, rpm: Rotors, rates: Vec3) -> Vec3:

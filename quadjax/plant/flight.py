@@ -1,4 +1,4 @@
-"""Races on the stand-in plant: the policy observes the onboard estimate.
+"""Races on a plant: the policy observes the onboard estimate.
 
 Rules, gates and laps are those of ``quadjax.race``, applied to the true motion at every sample.
 """

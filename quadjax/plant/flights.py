@@ -1,4 +1,4 @@
-"""Timed flights of a policy file on the stand-in plant, in the race that a config describes."""
+"""Timed flights of a policy file on a plant, in the race that a config describes."""
 
 import dataclasses
 from collections.abc import Callable, Sequence

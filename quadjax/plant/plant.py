@@ -1,4 +1,4 @@
-"""The stand-in plant: the motor-level drone with effects that the training model lacks.
+"""The plant: the motor-level drone with effects that the training model lacks.
 
 Functions are of one drone; batch with ``vmap``. Each effect is multiplied by its strength: with all
 of them zero the derivative is that of ``quadjax.vehicle.motor``.
@@ -22,7 +22,6 @@ from quadjax.plant import effects, gusts
 from quadjax.plant.airframe import Airframe, airframe_force_moment, make_airframe
 from quadjax.plant.config import (
     EffectsConfig,
-    FlexConfig,
     GustsConfig,
     ImuConfig,
     MotorsConfig,
@@ -53,7 +52,6 @@ class PlantParams(struct.PyTreeNode):
     airframe: Airframe | None  # its measured deviations; None: as the model
     rotors: RotorConfig
     motors: MotorsConfig
-    flex: FlexConfig
     imu: ImuConfig
     gusts: GustsConfig
     battery: BatteryParams
@@ -71,8 +69,6 @@ class Physics(struct.PyTreeNode):
 
     body: RigidBodyState
     rpm_rate: Rotors  # rpm/s, of second-order motors
-    flex: Vec3  # deflection of the frame, rad
-    flex_rate: Vec3  # rad/s
     charge: jax.Array  # () left in the battery, 0 to 1
 
 
@@ -142,7 +138,6 @@ def build_plant(config: PlantConfig) -> PlantParams:
         airframe=make_airframe(config.airframe),
         rotors=as_leaves(config.rotors),
         motors=as_leaves(config.motors),
-        flex=as_leaves(config.flex),
         imu=as_leaves(config.imu),
         gusts=as_leaves(config.gusts),
         battery=battery_params(config.battery, hover, nominal.rpm_max, effects.battery),
@@ -169,13 +164,11 @@ def drawn_factors(config: PlantConfig) -> tuple[dict[str, float], np.ndarray]:
 def begin(
     params: PlantParams, body: RigidBodyState, charge: jax.Array, draws: jax.Array
 ) -> PlantState:
-    """A drone at the start: frame undeflected, pending commands equal to its rotor speeds.
+    """A drone at the start: pending commands equal to its rotor speeds.
 
     ``charge`` () is that of the battery, 0 to 1; ``draws`` are (gusts.START_DRAWS,) normal numbers.
     """
-    physics = Physics(
-        body, jax.tree.map(jnp.zeros_like, body.actuators), Vec3.zero(), Vec3.zero(), charge
-    )
+    physics = Physics(body, jax.tree.map(jnp.zeros_like, body.actuators), charge)
     still, phase = Vec3.zero(), Rotors.of(jnp.zeros(4))
     line = (body.actuators,) * params.commands_waiting
     return PlantState(physics, still, phase, gusts.init(draws), line)
@@ -227,9 +220,6 @@ def derivative(
     force, moment = call(forces, params, physics, rpm_rate, air_velocity)
     acceleration = body_to_world(a, force + body.force_ext)
     turning = motor.angular_acceleration(c, moment + body.moment_ext, body.rates)
-    bend = effects.flex_acceleration(
-        params.flex, physics.flex, physics.flex_rate, turning * on.flex
-    )
     return Physics(
         body=RigidBodyState(
             position=body.velocity,
@@ -241,8 +231,6 @@ def derivative(
             force_ext=Vec3.zero(),
         ),
         rpm_rate=rpm_bend,
-        flex=physics.flex_rate,
-        flex_rate=bend,
         charge=charge_rate(params.battery, body.actuators),
     )
 
@@ -287,8 +275,8 @@ def update(
 
 
 def truth_of(params: PlantParams, state: PlantState) -> GroundTruth:
-    """The true motion at the sensors: of the center of gravity, and of the unit on its frame."""
-    physics, body, on = state.physics, state.physics.body, params.effects
+    """The true motion at the sensors: of the center of gravity, and at the inertial unit."""
+    body, on = state.physics.body, params.effects
     force, _ = loads(params, state)
     assert body.force_ext is not None and isinstance(body.euler, Vec3)
     lever = effects.lever_acceleration(params.imu, body.rates, state.turning)
@@ -297,7 +285,7 @@ def truth_of(params: PlantParams, state: PlantState) -> GroundTruth:
         position=body.position,
         velocity=body.velocity,
         euler=body.euler,
-        rates=body.rates + physics.flex_rate + turning * on.vibration,
+        rates=body.rates + turning * on.vibration,
         specific_force=force + body.force_ext + lever * on.offset + shaking * on.vibration,
         rpm=body.actuators,
     )

@@ -37,7 +37,7 @@ from quadjax.sil.fly import Race, fly
 from quadjax.sil.source import ExportedC, at_rate
 from quadjax.sil.worlds import World, plant_world, simulator_world
 
-ON_PLANT = ("motor", "rate")  # vehicle models that the stand-in plant has
+ON_PLANT = ("motor", "rate")  # vehicle models that a plant has
 STATES_FILE = "states.npz"
 FILES = (STATES_FILE, "sil.json", "table.txt", "flight.html")
 NOTHING = Rollouts(*(np.zeros((0, 1)),) * 3)
@@ -56,7 +56,7 @@ class Setting:
     """What flies, on what, and how."""
 
     source: Path  # folder of ``quadjax export``, or a policy file
-    plant: PlantConfig | None  # the stand-in plant; None: the simulator of the race
+    plant: PlantConfig | None  # None: the simulator of the race
     laps: int | None = None  # of a race; ``evaluate.laps`` of the config if not given
     runs: int = 1  # number of races, one after the other
     seed: int = 0  # of drones and faults; a race has the seed plus its number
@@ -124,7 +124,7 @@ class Flown:
 def make_world(config: Config, policy: Policy, plant: PlantConfig | None, laps: int) -> World:
     """The drone that the race of a policy needs, with the policy's model and limits.
 
-    On the stand-in plant, or, without one, in the simulator of the race.
+    On a plant, or, without one, in the simulator of the race.
 
     Raises:
         InputError: a vehicle model that the plant lacks.
@@ -133,10 +133,11 @@ def make_world(config: Config, policy: Policy, plant: PlantConfig | None, laps: 
         return simulator_world(*fit_race(*race_of(config), policy), laps)
     if policy.vehicle not in ON_PLANT:
         raise InputError(
-            f"the stand-in plant has no vehicle model {policy.vehicle!r}, allowed: "
+            f"a plant has no vehicle model {policy.vehicle!r}, allowed: "
             f"{', '.join(ON_PLANT)}; --simulator flies the race's own simulator"
         )
-    return plant_world(plan_race(config, plant, policy, lap_count=laps, runs=1, recorded=1))
+    plan = plan_race(config, plant, policy, lap_count=laps, runs=1, recorded=1)
+    return plant_world(plan, plant.name)
 
 
 def fly_all(

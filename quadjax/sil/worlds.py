@@ -1,4 +1,4 @@
-"""The drones that exported C can fly: the stand-in plant, or the simulator of the race.
+"""The drones that exported C can fly: a plant, or the simulator of the race.
 
 A world is pure functions of a state: its start, and a control step under a command that is held.
 Both also give what the autopilot observes, and the true motion for the record.
@@ -105,11 +105,11 @@ def _scaled(rotors: Rotors, factor: float) -> Rotors:
     return jax.tree.map(lambda x: x * jnp.float32(factor), rotors)
 
 
-# ---- stand-in plant ------------------------------------------------------------------------------
+# ---- plant ---------------------------------------------------------------------------------------
 
 
-def plant_world(plan: Plan) -> World:
-    """The stand-in plant with its sensors and estimators.
+def plant_world(plan: Plan, name: str) -> World:
+    """A plant of some name, with its sensors and estimators.
 
     A race begins at hover at the last gate, with drawn battery, gusts and sensors.
     """
@@ -129,7 +129,7 @@ def plant_world(plan: Plan) -> World:
         return laps.laps_of(plan.choices, now.state[0].race, step, limit)
 
     numbers = (plan.choices, plan.race, plan.step, plan.limit)
-    return World("stand-in plant", *numbers, begin, advance, result)
+    return World(f"plant {name}", *numbers, begin, advance, result)
 
 
 @jax.jit

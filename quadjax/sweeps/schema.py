@@ -102,7 +102,7 @@ class Objective(Section):
     plant: str | None = Field(
         None,
         max_length=4096,
-        description="evaluate on this stand-in plant: a file or a name of configs/plant",
+        description="evaluate on this plant: a file or a name of configs/plant",
     )
     drones: int = Field(
         4, ge=1, le=1000, description="drones drawn from it, which share the runs equally"

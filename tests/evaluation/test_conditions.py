@@ -51,7 +51,7 @@ conditions: [{label: a}, {label: a}] | two have the label 'a'
 conditions: [{label: a, thrust: 0.9}] | unknown key conditions[0].thrust
 {columns: [laps], conditions: [{label: a}]} | columns has 'laps', allowed: crashed
 {laps: 2, seconds: 3, conditions: [{label: a}]} | allowed: one of laps, gates, seconds
-conditions: [{label: a, overrides: [vehicle.mass=1]}] | condition a: vehicle.mass: Vehicle: unknown
+conditions: [{label: a, overrides: [vehicle.mass=1]}] | condition a: vehicle.mass: unknown key
 conditions: [{label: a, overrides: ["vehicle.mismatch={kw: 2}"]}] | a: unknown key vehicle.mismatch
 conditions: [{label: a, overrides: [wind]}] | condition a: wind is not of the form key=value
 {overrides: [wind=1], conditions: [{label: a}]} | wind

@@ -28,7 +28,7 @@ OFF = without_effects(PlantConfig())
 
 
 def only(**strengths: float) -> PlantConfig:
-    """The stand-in plant with some effects."""
+    """The default plant with some effects."""
     return OFF.replace(effects=NO_EFFECTS.replace(**strengths))
 
 

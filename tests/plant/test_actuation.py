@@ -1,4 +1,4 @@
-"""Motors, battery, frame and gusts of the stand-in plant, each as its source says."""
+"""Motors, battery and gusts of a plant, each as its source says."""
 
 import jax
 import jax.numpy as jnp
@@ -69,32 +69,6 @@ def test_the_battery_lowers_what_can_be_reached():
     assert rate == pytest.approx(-current / 3600 / b.capacity, rel=1e-5)
     none = build_plant(OFF).battery
     assert np.isinf(float(battery.highest_rpm(none, rpm, jnp.float32(0.0))))
-
-
-def test_the_frame_rings_at_its_frequency():
-    """After a blow the deflection swings at the damped frequency and dies as the damping says."""
-    config = only(flex=1.0)
-    params = build_plant(config)
-    f, zero = config.flex, jnp.zeros(())
-    omega, dt, count = 2.0 * np.pi * f.frequency, 1e-4, 2000
-
-    def one(carry, _):
-        angle, rate = carry
-        still = Vec3(zero, zero, zero)
-        bend = effects.flex_acceleration(params.flex, angle, rate, still)
-        rate = rate + bend * dt
-        return (angle + rate * dt, rate), angle.x
-
-    start = (Vec3(zero, zero, zero), Vec3(zero + 1.0, zero, zero))
-    flown = np.asarray(jax.jit(lambda: jax.lax.scan(one, start, None, count)[1])())
-    time = dt * np.arange(count)
-    damped = omega * np.sqrt(1.0 - f.damping**2)
-    expected = np.exp(-f.damping * omega * time) * np.sin(damped * time) / damped
-    assert np.abs(flown - expected).max() < 0.02 / omega
-    driven = effects.flex_acceleration(
-        params.flex, Vec3(zero, zero, zero), Vec3(zero, zero, zero), Vec3(zero + 1.0, zero, zero)
-    )
-    assert float(driven.x) == pytest.approx(-effects.PARTICIPATION)
 
 
 def test_gusts_have_drydens_spread_and_spectrum():

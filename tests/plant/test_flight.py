@@ -1,4 +1,4 @@
-"""Races on the stand-in plant: both policies, their observations, and their logs."""
+"""Races on a plant: both policies, their observations, and their logs."""
 
 import dataclasses
 from pathlib import Path

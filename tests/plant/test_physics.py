@@ -1,4 +1,4 @@
-"""The stand-in plant's physics: the training model with all off, and each effect as its source."""
+"""A plant's physics: the training model with all off, and each effect as its source."""
 
 import functools
 from pathlib import Path
@@ -27,8 +27,7 @@ DRONE = Path(__file__).parents[2] / "examples" / "03_drone.yaml"
 def physics_of(rows: np.ndarray, charge: float = 1.0) -> plant.Physics:
     body = state_of("motor", rows.astype(np.float32))
     zero = np.zeros(len(rows), np.float32)
-    still, straight = Rotors.same(zero), Vec3(zero, zero, zero)
-    return plant.Physics(body, still, straight, straight, zero + charge)
+    return plant.Physics(body, Rotors.same(zero), zero + charge)
 
 
 @functools.cache
@@ -70,7 +69,7 @@ def agree(found, expected, tolerance=1e-6):
 def test_with_all_off_its_derivative_is_the_training_models(rows, commands):
     found = slope(OFF, rows, commands)
     agree(rows_of(found.body), ref.motor_derivative(ref.MOTOR, rows, commands), 2e-6)
-    for left in jax.tree.leaves((found.rpm_rate, found.flex, found.flex_rate, found.charge)):
+    for left in jax.tree.leaves((found.rpm_rate, found.charge)):
         assert not np.any(np.asarray(left))
 
 

@@ -45,7 +45,11 @@ def test_a_drone_has_its_values(own):
             "population.motors.tau has 1 values, population.effects.gusts 2; allowed: one for each",
         ),
         ("motors.lags: [0.03, 0.06]", "population.motors.lags: .*unknown key"),
-        ("motors.tau: [0.03, -1.0]", "population.motors.tau: .*tau is -1"),
+        (
+            "motors.tau: [0.03, -1.0]",
+            r"/bad.yaml: population.motors.tau, drone 1: motors.tau is -1, allowed: greater than 0",
+        ),
+        ("inner_loop: [1, 2]", "population.inner_loop, drone 0: inner_loop is 1, allowed: 'indi'"),
         ("wind.speed: [1, 2]", "wind"),
         ("name.x: [1, 2]", "name"),
     ],

@@ -49,7 +49,7 @@ def test_c_of_which_a_flight_crashed_is_not_to_be_used(file, step, crash, tmp_pa
 
 
 def on_the_plant(folder):
-    """A shipped policy on the stand-in plant, with its own estimator."""
+    """A shipped policy on the plant ``standin``, with its own estimator."""
     policy = Policy.load(PRETRAINED / "e2e_residual_disturbance.npz")
     config, origin = race_of_policy(policy)
     race = policy_race(config, policy, origin)
@@ -129,6 +129,7 @@ def test_a_shipped_policy_flies_with_one_command(tmp_path, monkeypatch, capsys, 
     monkeypatch.chdir(tmp_path)
     assert run("sil", "indi", "--laps", 1) == 0
     printed, errors = capsys.readouterr()
+    assert "\ndrone: plant cyberzoo, 512 Hz, " in printed
     assert len(printed.splitlines()) == 8 and re.search(r"drone: .*, [\d,]+ steps\n", printed)
     begun = [line.partition(":")[0] for line in errors.splitlines()]
     assert len(begun) == len(set(begun)) and begun[-1] == "wrote runs/sil/"

@@ -143,6 +143,7 @@ compare standin --e2e indi | rate motor
 compare standin --e2e e2e nosuch | --e2e nosuch e2e_residual
 compare standin --failed-after 0 | --failed-after 0
 compare standin effects.wind=1 | effects.wind
+compare cyberzoo vehicle=5inch.yaml | 5inch.yaml cyberzoo bebop1.yaml base: plant/standin
 compare standin --drones 10 --runs 25 | --runs multiples (10)
 compare standin --name ../zz | ../zz
 compare standin control_rate=300 | control_rate 300
