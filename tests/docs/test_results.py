@@ -140,7 +140,9 @@ def test_a_plant_is_its_numbers_and_those_of_its_vehicle(folder):
     row = rows.read("plant")[0]
     assert rows.stale(row) == ""
     assert "plant.drone 3, now 4" in rows.stale(row | {"plant": ["cyberzoo", "drone=4"]})
-    other = rows.stale(row | {"plant": ["cyberzoo", "drone=3", "vehicle=bebop1_authors"]})
+    rows.write("plant", [E2E | {"plant": ["standin"]}])
+    row = rows.read("plant")[0]
+    other = rows.stale(row | {"plant": ["standin", "vehicle=bebop1_authors"]})
     assert "plant.vehicle.models.rate.thrust_max 15.0, now 16.0" in other
 
 

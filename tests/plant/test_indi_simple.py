@@ -146,7 +146,7 @@ def test_saturation_takes_from_yaw_first_then_from_thrust(params):
 
 
 def test_numbers_of_another_drone_are_refused():
-    five = PLANT.replace(vehicle=str(DRONE), population={})
+    five = PLANT.replace(vehicle=str(DRONE), population={}, fitted_vehicle=None)
     with pytest.raises(InputError, match=r"indi_simple.effectiveness is .0.06, .* null takes"):
         inner_params(five)
     own = five.replace(indi_simple=IndiSimpleConfig())
