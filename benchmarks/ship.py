@@ -70,21 +70,23 @@ def trained(name: str) -> tuple[list[Trained], float]:
     return found, POPULATION
 
 
-def ship(name: str, /, *folders: str, file: str | None = None) -> None:
+def ship(name: str, /, *folders: str, file: str | None = None, least: float | None = None) -> None:
     """Write the policy and print its seed.
 
     Args:
         name: of the rows.
         folders: runs of its seeds, in the order of the seeds.
         file: name of the policy (default: that of the preset).
+        least: share of the flights that has to finish, in place of the rule.
     """
-    known, least = trained(name)
+    known, share = trained(name)
+    share = share if least is None else least
     runs = [quadjax.Run.load(folder) for folder in folders]
     if [run.config.seed for run in runs] != [each.seed for each in known]:
         seeds = [each.seed for each in known]
         raise InputError(f"{name}: the seeds of the runs are not those of the rows, {seeds}")
     times = [each.time for each in known]
-    index = median_of(times, [each.share >= least for each in known])
+    index = median_of(times, [each.share >= share for each in known])
     chosen, policy = known[index], runs[index].policy
     command = ["quadjax", "train", *chosen.config, "run.devices=1", f"seed={chosen.seed}"]
     source = policy.source | {"command": shlex.join(command), "commit": chosen.commit}
