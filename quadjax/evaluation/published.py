@@ -13,8 +13,9 @@ import numpy as np
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
+from quadjax.core.resources import CONFIGS
 from quadjax.evaluation.rows import Row
-from quadjax.plant.config import PlantConfig
+from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.race.laps import Laps
 from quadjax.vehicle.residual import digest, read_residual
 
@@ -70,12 +71,14 @@ def published_row(config: Config) -> Row | None:
 def flown_row(config: Config, plant: PlantConfig, laps: int | None) -> Row | None:
     """The flights of the real drone, for a policy on the plant of that drone, on its track.
 
-    None for another plant, track or number of laps.
+    None for a plant with other numbers, for another track or number of laps. Any drones of the
+    plant may fly.
     """
     track = _race(config)[2:4]
-    if (plant.name, laps) != (REAL, LAPS) or track != _reference(PRESETS["motor"][0])[2:4]:
+    if laps != LAPS or track != _reference(PRESETS["motor"][0])[2:4]:
         return None
-    return FLOWN[config.vehicle.model]
+    alike = plant.model_copy(update={"name": REAL, "drone": 0}) == _real_drone()
+    return FLOWN[config.vehicle.model] if alike else None
 
 
 def _race(config: Config) -> tuple[object, ...]:
@@ -92,6 +95,11 @@ def _race(config: Config) -> tuple[object, ...]:
         (track.start, track.closed),
         (config.rules, config.disturbance, config.randomization, config.battery),
     )
+
+
+@functools.cache
+def _real_drone() -> PlantConfig:
+    return load_plant_config(CONFIGS / "plant" / f"{REAL}.yaml")
 
 
 @functools.cache

@@ -7,6 +7,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.evaluation import published
 from quadjax.evaluation.evaluate import evaluate
+from quadjax.plant.config import load_plant_config
 from quadjax.vehicle.residual import digest, read_residual, write_residual
 from tests.evaluation.support import random_policy
 
@@ -101,6 +102,28 @@ def test_another_protocol_has_no_published_time(protocol, beside, monkeypatch):
     result = evaluate(random_policy("rate"), indi(), **protocol)
     assert (result.row.published is published.INDI) == beside
     assert ("published" in result.table()) == beside
+
+
+@pytest.mark.parametrize(
+    ("words", "beside"),
+    [
+        ([], True),
+        (["drone=3"], True),
+        (["name=mine"], True),
+        (["effects.gusts=0"], False),
+        (["inner_loop=indi"], False),
+        ([f"population={{effects.gusts: {[0] * 20}}}"], False),
+    ],
+)
+def test_the_real_flights_are_beside_those_of_the_plant_of_that_drone(words, beside):
+    for config, row in ((e2e("vehicle.residual=null"), "motor"), (indi(), "rate")):
+        found = published.flown_row(config, load_plant_config("cyberzoo", words), 6)
+        assert found is (published.FLOWN[row] if beside else None)
+
+
+def test_other_plants_and_lengths_have_no_real_flights():
+    assert published.flown_row(indi(), load_plant_config("cyberzoo"), 5) is None
+    assert published.flown_row(indi(), load_plant_config("standin", ["name=cyberzoo"]), 6) is None
 
 
 def test_training_compares_sampled_scores_only():
