@@ -85,7 +85,8 @@ def lead_rows(data: dict[str, list[Tree]]) -> list[Tree]:
 
 def steps(data: dict[str, list[Tree]]) -> list[Tree]:
     """A line for each step of the interventions."""
-    labels = dict.fromkeys(row["step"] for row in data["interventions"])
+    found = {row["step"] for row in data["interventions"]}
+    labels = sorted(found, key=lambda step: (step.startswith("E2E"), step))
     groups = {k: [r for r in data["interventions"] if r["step"] == k] for k in labels}
     return [described(label, flights(rows), rows) for label, rows in groups.items()]
 

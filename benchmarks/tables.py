@@ -79,7 +79,7 @@ COLUMNS: dict[str, Callable[[Tree], str]] = {
 }
 BODY = "sampled|with a body=body|body and hall=hall|random starts|with a body=random starts, body"
 SCORED = "drones and seeds|score, s|of each seed, s|finished"
-LEADS = "score, s|time, s|first lap, s|each later lap, s"
+LEADS = "score, s|first lap, s|each later lap, s"
 MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"
 TABLES = {
     "readme": Table("presets", f"preset|{MEAN}", of_readme),

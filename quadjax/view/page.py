@@ -7,6 +7,7 @@ import html
 import json
 import sys
 import tempfile
+import warnings
 import webbrowser
 from pathlib import Path
 from typing import Any
@@ -76,7 +77,9 @@ def show(record: dict[str, Any], path: Path | str | None = None) -> None:
     if path is None and _in_notebook():
         from IPython.display import HTML, display
 
-        display(HTML(frame(record)))
+        with warnings.catch_warnings():  # that an IFrame would do, which needs a file
+            warnings.filterwarnings("ignore", "Consider using IPython.display.IFrame")
+            display(HTML(frame(record)))
         return
     if path is None:
         path = Path(tempfile.mkdtemp(prefix="quadjax-")) / "flights.html"

@@ -28,6 +28,12 @@ from tests.surface.short import OF_EACH  # noqa: E402
 MAX_BYTES = 2_000_000
 SHORT = [word for word in OF_EACH if not word.startswith("run.steps=")]  # of any learner
 SMALL = {
+    "e2e_vs_indi": [
+        'E2E, INDI = "e2e_cyberzoo", "indi_cyberzoo"',
+        "DRONES, RUNS, LAPS, SEED = 2, 2, 1, 0",
+        'T_MAX, RATES, LAG, PLANT, CHARGE, DELAY = 20, 2.0, 12.0, "cyberzoo", 0.9, 0.001',
+        "NOISE, YOURS = False, None",
+    ],
     "logs_to_c": [
         'FIT = ["residual.epochs=3"]',
         # A residual of three epochs is zero, so its schedule would have no effect.
