@@ -24,7 +24,11 @@ from quadjax.core.resources import PRETRAINED
 FILE, PLANT, DRONES = "tournament", "cyberzoo", 20
 PRESETS = {"E2E": "e2e_cyberzoo", "INDI": "indi_cyberzoo"}
 SCOPES = ("all", "each")
-FLIGHTS, LOGGED = 20, 2  # on a drone: of each policy, and of each shipped one for a fit
+LIMITS = {  # of the presets: a vehicle file that is named has its own
+    "E2E": ["vehicle.constants.rpm_max=12000"],
+    "INDI": ["vehicle.constants.thrust_max=17", "vehicle.constants.r_max=2"],
+}
+FLIGHTS, LOGGED = 20, 6  # on a drone: of each policy, and of each shipped one for a fit
 Names = Annotated[tuple[str, ...], LIST]
 
 
@@ -81,7 +85,7 @@ def measure(contender: str, drone: int | None, seed: int, output: Path) -> dict[
     words, plant, count = [], [PLANT], DRONES
     if drone is not None:
         found, plant, count = identified(folder, drone), [PLANT, f"drone={drone}"], 1
-        words.append(f"vehicle.file={found / 'vehicle.yaml'}")
+        words += [f"vehicle.file={found / 'vehicle.yaml'}", *LIMITS[contender]]
         if contender == "E2E":
             words.append(f"vehicle.residual={found / 'residual.npz'}")
     policy = trained(PRESETS[contender], words, seed, folder / f"{contender.lower()}_{seed}")
