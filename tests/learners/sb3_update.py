@@ -123,6 +123,7 @@ def make_trace(overrides, observations, actions):
         ``moment/NAME``: each parameter before the update, and itself and Adam's first moment after
         every minibatch; ``policy_loss`` and ``value_loss`` of every minibatch.
     """
+    torch.set_num_threads(1)  # several wait for each other where other programs use the cores
     config = load_config("e2e_paper", overrides)
     env = Replay(config.learner, observations, actions)
     model = make_ppo(config, env)
