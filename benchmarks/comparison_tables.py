@@ -8,7 +8,6 @@ from benchmarks.settings import Tree
 from quadjax.evaluation.leads import Leads, leads, totals
 
 FAILED_AFTER = 35.0  # s: what a flight that does not finish counts as
-CHARGES = {f"charge {x}": f"battery.charge=[{x}, {x}]" for x in ("1.0", "0.6", "0.2")}
 SCOPES = {"all": "one policy for all drones", "each": "one policy for each drone"}
 
 
@@ -89,19 +88,3 @@ def steps(data: dict[str, list[Tree]]) -> list[Tree]:
     labels = sorted(found, key=lambda step: (step.startswith("E2E"), step))
     groups = {k: [r for r in data["interventions"] if r["step"] == k] for k in labels}
     return [described(label, flights(rows), rows) for label, rows in groups.items()]
-
-
-def unchanged(data: dict[str, list[Tree]]) -> list[Tree]:
-    """The shipped policies on the plant as it is."""
-    return [row for row in data["plant"] if len(row["plant"]) == 1]
-
-
-def charged(data: dict[str, list[Tree]]) -> list[Tree]:
-    """The shipped policies with several charges of the battery: time, and flights that finish."""
-    made: dict[str, Tree] = {}
-    for row in data["plant"]:
-        for title, change in CHARGES.items():
-            if row["plant"][1:] == [change]:
-                text = f"{row['total']['sampled'][0]:.2f} ({row['finished']['sampled'][0]})"
-                made.setdefault(row["policy"], {"name": row["name"].split()[0]})[title] = text
-    return list(made.values())

@@ -42,12 +42,6 @@ STEPS = {
     "INDI, 20 m/s^2, 6 rad/s, filters of 20 Hz": Step(
         "indi_cyberzoo", (*_thrust(20), *FAST), QUICK
     ),
-    "INDI, 17 m/s^2, 4 rad/s": Step(
-        "indi_cyberzoo", (*_thrust(17), "vehicle.constants.p_max=4", "vehicle.constants.q_max=4")
-    ),
-    "INDI, 17 m/s^2, filters of 16 Hz": Step(
-        "indi_cyberzoo", _thrust(17), ("indi_simple.cutoff=16",)
-    ),
     **{
         f"E2E, {speed} rpm": Step("e2e_cyberzoo", (f"vehicle.constants.rpm_max={speed}",))
         for speed in (10300, 11000, 12000)

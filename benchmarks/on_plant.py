@@ -19,7 +19,7 @@ PLANT, DRONES, FLIGHTS = "cyberzoo", 20, 5
 
 
 def on_plant(*names: str, changes: Annotated[tuple[str, ...], LIST] = ()) -> None:
-    """Fly the policies of these names, all without one, and write their rows.
+    """Fly the named policies, or all without a name, and write their rows.
 
     Args:
         names: of shipped policies.

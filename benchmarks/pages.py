@@ -1,8 +1,8 @@
 """The pages of the documentation, with the tables of the rows.
 
 A page has a table between ``<!-- results: NAME -->`` and ``<!-- end -->``. Below it stands what
-rows with ``kept`` were measured with. The table ``measured`` has commit and machine of the rows in
-the other tables of its page.
+rows with ``kept`` were measured with. The table ``measured`` has commit and machine of all rows
+in the files of the other tables of its page.
 """
 
 import re

@@ -1,9 +1,9 @@
 """Write the tables of the pages from the rows of benchmarks/results (make results).
 
-With words, first change rows:
+With arguments, it first changes rows:
 
 - ``measure ROW [POLICY...]``: fly policies, files or folders of runs, and replace the numbers of a
-  row. That of a shipped policy needs no POLICY. A new row is at first its name and settings.
+  row. That of a shipped policy needs no POLICY. A new row begins as its name and settings.
 - ``keep ROW``: the row stays, and its table says which former settings it was measured with.
 - ``restamp``: after a change of structure, replace the hashes of all rows. Keys of their settings
   may come and go, but no value may change, and no frozen number (``taskset -c 0``, minutes).
@@ -59,7 +59,7 @@ def restamp() -> None:
 
 
 def results(*words: str) -> None:
-    """Change rows as the words say, if any, and write the tables of the pages."""
+    """Change rows as the arguments say, if any, and write the tables of the pages."""
     match words:
         case ():
             pass

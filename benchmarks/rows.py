@@ -3,9 +3,9 @@
 The command that measures writes its rows with ``write``. A row has ``name``, ``command``,
 ``seeds``, its numbers, and the settings behind them:
 
-- ``config``: words of the training, as of ``quadjax.load``: ``["e2e", "+residual"]``;
-- ``race``: words of the race of the flights, if it is not that of the training;
-- ``plant``: words of the plant, as of ``load_plant_config``: ``["cyberzoo", "drone=3"]``;
+- ``config``: preset and overrides of the training, as of ``load``: ``["e2e", "+residual"]``;
+- ``race``: those of the race of the flights, if it is not that of the training;
+- ``plant``: plant and its overrides, as of ``load_plant_config``: ``["cyberzoo", "drone=3"]``;
 - ``policy``: a shipped policy: ``"e2e.npz"``.
 
 ``write`` adds ``commit``, ``machine`` and ``hash``, that of the numbers which each setting resolves

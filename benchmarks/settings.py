@@ -1,4 +1,4 @@
-"""The numbers that a row of results depends on: those that its words resolve to, and their hash."""
+"""The numbers that a row of results depends on: what its settings resolve to, and their hash."""
 
 import functools
 import hashlib

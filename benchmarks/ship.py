@@ -37,7 +37,7 @@ class Trained(NamedTuple):
     seed: int
     time: float  # s; NaN where no flight finishes
     share: float  # of the flights, that finish
-    config: list[str]  # words
+    config: list[str]  # preset and overrides
     commit: str
 
 

@@ -4,14 +4,8 @@ import statistics
 from collections.abc import Callable
 from typing import NamedTuple
 
-from benchmarks.comparison_tables import (
-    CHARGES,
-    charged,
-    contenders,
-    lead_rows,
-    steps,
-    unchanged,
-)
+from benchmarks.comparison_tables import contenders, lead_rows, steps
+from benchmarks.plant_tables import CHARGES, charged, looped, unchanged
 from benchmarks.settings import Tree
 
 CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
@@ -77,7 +71,7 @@ COLUMNS: dict[str, Callable[[Tree], str]] = {
     "noise": lambda row: f"{statistics.median(row['noise']):.2f}",
     "seed": lambda row: str(row["seeds"][0]),
 }
-BODY = "sampled|with a body=body|body and hall=hall|random starts|with a body=random starts, body"
+BODY = "sampled|with a body=body|body and hall=hall|random starts|random starts, with a body=random starts, body"
 SCORED = "drones and seeds|score, s|of each seed, s|finished"
 LEADS = "score, s|first lap, s|each later lap, s"
 MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"
@@ -91,6 +85,7 @@ TABLES = {
     "published": Table("published", "name|noise|mean|sampled|mean, random|sampled, random"),
     "body": Table("body", f"file|{BODY}", with_bodies),
     "plant": Table("plant", "name|noise|mean action=mean|sampled", unchanged),
+    "loop": Table("plant", "inner loop|time and finished=sampled loop", looped),
     "charge": Table("plant", "name|" + "|".join(CHARGES), charged),
     "tournament": Table("tournament", f"contender|{SCORED}", contenders),
     "leads": Table("tournament", f"lead of E2E|{LEADS}", lead_rows),

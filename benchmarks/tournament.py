@@ -24,7 +24,7 @@ from quadjax.core.resources import PRETRAINED
 FILE, PLANT, DRONES = "tournament", "cyberzoo", 20
 PRESETS = {"E2E": "e2e_cyberzoo", "INDI": "indi_cyberzoo"}
 SCOPES = ("all", "each")
-LIMITS = {  # of the presets: a vehicle file that is named has its own
+LIMITS = {  # those of the presets, as a fitted vehicle file has others
     "E2E": ["vehicle.constants.rpm_max=12000"],
     "INDI": ["vehicle.constants.thrust_max=17", "vehicle.constants.r_max=2"],
 }

@@ -43,13 +43,14 @@ def compare(
     """Compare E2E and INDI in the simulator and on a plant.
 
     Prints laps, totals and scores, and by how much E2E is faster, with 95% intervals
-    over drones, trainings and flights. DIR/NAME gets table.txt, compare.json,
-    compare.png and, of the plant, config.yaml. Overrides change the plant's config.
+    over drones, trainings and flights. Without PLANT both fly in the simulator only.
+    DIR/NAME gets table.txt, compare.json, compare.png and, with a plant, its
+    config.yaml. Overrides change the plant's config.
 
     Example: quadjax compare cyberzoo --drones 20 --runs 100
 
     Args:
-        e2e: Policies that command the motors; several are trainings with other seeds.
+        e2e: Policies that command the motors; several are trainings with different seeds.
         indi: Policies that command thrust and rates.
         race: Preset or YAML file of the race of both, whose vehicle is the model on board
             (default: for each policy the race that it was trained in, which must have the same
@@ -58,9 +59,9 @@ def compare(
             population as share them equally).
         laps: Laps of a run.
         runs: Number of runs of each policy.
-        deterministic: Mean actions.
-        failed_after: Seconds that count for a flight that does not finish, in the score (default:
-            twice the mean total of the flights that finish).
+        deterministic: Mean actions only.
+        failed_after: Total that a flight that does not finish has in the score, s (default: twice
+            the mean total of the flights that finish).
         seed: Seed of noise, batteries, gusts and sensors.
     """
     opt.check_shares(runs, drones)

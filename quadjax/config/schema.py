@@ -102,8 +102,8 @@ class Vehicle(Section):
     integrator: Literal["euler", "rk4"] = Field("euler", description="integration of a time step")
     delay: Annotated[tuple[Delay, Delay], ORDERED] | None = Field(
         None,
-        description="delay of commands in training, s: lowest and highest, drawn for every "
-        "episode; at most rules.time_step",
+        description="delay of commands, s: lowest and highest, drawn for every episode of "
+        "training; timed laps have their mean; at most rules.time_step",
     )
     mismatch: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(
         {},

@@ -54,7 +54,7 @@ def compare(
 
     Args:
         e2e: a policy of the vehicle model ``motor``: its file, the folder of its run, the name of a
-            shipped one, a ``Policy`` or a ``Run``; or several, trainings with other seeds.
+            shipped one, a ``Policy`` or a ``Run``; or several, trainings with different seeds.
         indi: the same, of the vehicle model ``rate``.
         plant: config of the plant; None: the simulator only.
         drones: of the plant, which share the runs.
@@ -64,8 +64,9 @@ def compare(
         seed: of noise, batteries, gusts and sensors.
         race: the race of both; None: for each policy that of its training, which must have the same
             track and rules.
-        conditions: a list as of ``evaluate``, flown on the plant, or without one in the simulator.
-        failed_after: s that count for a flight that does not finish, in the score; None: twice the
+        conditions: a list as of ``evaluate``, flown on the plant or that of the list; without one,
+            in the simulator.
+        failed_after: total, s, that a flight that does not finish has in the score; None: twice the
             mean total of the flights that finish, as if the race were flown again.
         names: of the contenders, in tables and figures.
         progress: called with what is flown.

@@ -71,7 +71,7 @@ def published_row(config: Config) -> Row | None:
 def flown_row(config: Config, plant: PlantConfig, laps: int | None) -> Row | None:
     """The flights of the real drone, for a policy on the plant of that drone, on its track.
 
-    None for a plant with other numbers, for another track or number of laps. Any drones of the
+    None for a plant with other numbers, another track or another number of laps. Any drone of the
     plant may fly.
     """
     track = _race(config)[2:4]

@@ -209,8 +209,8 @@ def loss(
     ``-mean(min(r A, clip(r, 1 - c, 1 + c) A)) + c_v mean((V - G)^2) - c_e H``, with ``r`` the
     ratio of the new to the old probability density, ``A`` the advantage, normalized over the
     minibatch (by its own standard deviation, without Bessel's correction), and ``G`` the value
-    target. ``approx_kl`` is the estimator
-    ``mean((r - 1) - log r)`` of KL(old, new) (Schulman, "Approximating KL divergence", 2020).
+    target. ``approx_kl`` is the estimator ``mean((r - 1) - log r)`` of KL(old, new) (Schulman,
+    "Approximating KL divergence", 2020).
     """
     mean, log_std = mean_action(network, params, batch.observation), params["log_std"]
     log_ratio = log_probability(batch.action, mean, log_std) - batch.log_prob

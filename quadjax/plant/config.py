@@ -188,7 +188,7 @@ class PlantConfig(Section):
     name: str = Field("standin", pattern=r"^[\w-][\w.-]*$", description="folder of results")
     vehicle: str = Field("bebop1.yaml", description="the training model's file in configs/vehicles")
     fitted_vehicle: str | None = Field(
-        None, description="file of the vehicle that airframe and population are of; null: any"
+        None, description="vehicle file that airframe and population were fitted to; null: any"
     )
     mass: Positive | None = Field(
         None, description="kg, of the drone with its load; null: that of the vehicle file"

@@ -63,8 +63,8 @@ def command(
 def _simulate(choices: Choices, params: RaceParams, state: RaceState, action: jax.Array) -> State:
     """The vehicle's state one step later; commands are clipped to its range.
 
-    Of a delayed command and the one before it the mean over the step acts, as the motors are far
-    slower than a step.
+    With a delay, the mean over the step of the previous and the present command acts, because the
+    vehicle is slower than a step.
     """
     vehicle, model = params.vehicle_of(state), choices.model
     low, high = model.command_range(vehicle.constants)

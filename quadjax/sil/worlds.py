@@ -109,7 +109,7 @@ def _scaled(rotors: Rotors, factor: float) -> Rotors:
 
 
 def plant_world(plan: Plan, name: str) -> World:
-    """A plant of some name, with its sensors and estimators.
+    """The plant of a plan, by its name, with its sensors and estimators.
 
     A race begins at hover at the last gate, with drawn battery, gusts and sensors.
     """

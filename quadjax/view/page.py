@@ -77,7 +77,7 @@ def show(record: dict[str, Any], path: Path | str | None = None) -> None:
     if path is None and _in_notebook():
         from IPython.display import HTML, display
 
-        with warnings.catch_warnings():  # that an IFrame would do, which needs a file
+        with warnings.catch_warnings():  # IPython suggests an IFrame, which needs a file
             warnings.filterwarnings("ignore", "Consider using IPython.display.IFrame")
             display(HTML(frame(record)))
         return

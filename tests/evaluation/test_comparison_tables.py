@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks import interventions, tournament
-from benchmarks.comparison_tables import charged, contenders, flights, lead_rows, steps
+from benchmarks.comparison_tables import contenders, flights, lead_rows, steps
+from benchmarks.plant_tables import charged, looped
 from benchmarks.waterfall import PATH, figure_of
 
 NONE = [None, None]
@@ -73,6 +74,9 @@ def test_steps_and_charges_have_a_line_each():
     made |= {"total": {"sampled": [15.5]}, "finished": {"sampled": [99]}}
     rows = [made, made | {"plant": ["cyberzoo"]}]
     assert charged({"plant": rows}) == [{"name": "e2e", "charge 0.2": "15.50 (99)"}]
+    assert looped({"plant": rows}) == []
+    rows = [x | {"policy": "indi_cyberzoo.npz"} for x in rows]
+    assert looped({"plant": rows}) == [{"inner loop": "as flown", "sampled loop": "15.50 (99)"}]
 
 
 def test_the_figure_has_a_line_for_each_step_that_has_rows():
