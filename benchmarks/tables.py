@@ -71,7 +71,8 @@ COLUMNS: dict[str, Callable[[Tree], str]] = {
     "noise": lambda row: f"{statistics.median(row['noise']):.2f}",
     "seed": lambda row: str(row["seeds"][0]),
 }
-BODY = "sampled|with a body=body|body and hall=hall|random starts|random starts, with a body=random starts, body"
+BODY = "sampled|with a body=body|body and hall=hall|random starts"
+BODY += "|random starts, with a body=random starts, body"
 SCORED = "drones and seeds|score, s|of each seed, s|finished"
 LEADS = "score, s|first lap, s|each later lap, s"
 MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"

@@ -100,7 +100,8 @@ class Comparison:
         for label, (*_, x) in self.worlds.items():
             times = map(str, (x.total, x.laps[0], x.later, x.score))
             lines.append([label, *times, f"{x.pairs}/{x.of}"])
-            over.setdefault(x.over, []).append(label)
+            if np.isfinite(x.score.low):
+                over.setdefault(x.over, []).append(label)
         titles = [self.title, "total", "first lap", "each later lap", "score", "both finish"]
         notes = ["seconds; times of the pairs of flights that both finish, score of all flights"]
         for levels, labels in over.items():
