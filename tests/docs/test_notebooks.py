@@ -31,7 +31,7 @@ SMALL = {
     "e2e_vs_indi": [
         'E2E, INDI = "e2e_cyberzoo", "indi_cyberzoo"',
         "DRONES, RUNS, LAPS, SEED = 2, 2, 1, 0",
-        'T_MAX, RATES, LAG, PLANT, CHARGE, DELAY = 20, 2.0, 12.0, "cyberzoo", 0.9, 0.001',
+        'T_MAX, RATES, CUTOFF, PLANT, CHARGE, DELAY = 20, 2.0, 12.0, "cyberzoo", 0.9, 0.001',
         "NOISE, YOURS = False, None",
     ],
     "logs_to_c": [
