@@ -39,13 +39,13 @@ view figure8_tudelft "Figure eight of TU Delft: a 5-inch drone" \
 view grand_challenge "A2RL Grand Challenge: a 5-inch drone" \
   "$laps/grand_challenge.npz" --name "best known lap"
 
-[ -e "$laps/logs" ] || quadjax logs standin --policy e2e --policy indi \
+[ -e "$laps/logs" ] || quadjax logs cyberzoo --policy e2e_cyberzoo --policy indi_cyberzoo \
   --flights 1 --laps 3 --output "$laps/logs"
 for name in e2e indi; do
-  [ -e "$laps/$name.npz" ] || quadjax evaluate "$name" --policy "$name" --deterministic \
+  [ -e "$laps/$name.npz" ] || quadjax evaluate --policy "${name}_cyberzoo" --deterministic \
     --runs 1 --laps 3 --states "$laps/$name.npz"
 done
-view plant "E2E and INDI: simulated and on the plant" "$laps/e2e.npz" \
-  "$laps/logs/e2e_0.csv" "$laps/indi.npz" "$laps/logs/indi_0.csv" \
-  --logs standin --race e2e \
+view plant "E2E and INDI: simulated and on the plant cyberzoo" "$laps/e2e.npz" \
+  "$laps/logs/e2e_cyberzoo_0.csv" "$laps/indi.npz" "$laps/logs/indi_cyberzoo_0.csv" \
+  --logs cyberzoo --race e2e \
   --name "E2E simulated" --name "E2E plant" --name "INDI simulated" --name "INDI plant"

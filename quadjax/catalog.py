@@ -22,6 +22,7 @@ from quadjax.core.resources import (
     is_run,
     policy_names,
     preset_names,
+    refuse_part,
 )
 from quadjax.core.sections import Section, validate
 from quadjax.core.yaml_files import override, parse_overrides, to_yaml
@@ -76,6 +77,7 @@ def kind_of(what: str) -> str:
         if what in preset_names(folder):
             kind, path = KINDS[folder].partition(" (")[0], CONFIGS / folder / f"{what}.yaml"
             raise InputError(f"{what}: show prints no {kind}; the file is {path}")
+    refuse_part(what)
     names = [name for folder in FOLDERS.values() for name in preset_names(folder)]
     hint = close_match(what, names + policy_names())
     name = what or repr(what)

@@ -58,10 +58,17 @@ def find_config(name: Path | str, folder: str = "") -> Path:
             return preset
         if str(name) and (path.exists() or path.is_symlink()):
             return path
+    refuse_part(str(name))
     names, kind = preset_names(folder), KINDS.get(folder, folder)
     place, hint = _listed([path.parent]), close_match(path.stem, names)
     listed = f"{kind} of quadjax: {', '.join(names)}"
     raise InputError(f"{name or repr(name)}: no such file in {place}{hint}; {listed}")
+
+
+def refuse_part(name: str) -> None:
+    """Raise an ``InputError`` for ``+PART`` where a config, or a change of one key, is expected."""
+    if name.startswith("+"):
+        raise InputError(f"{name}: a part needs the config of a race before it: 'e2e {name}'")
 
 
 def find_file(name: str, folders: Sequence[Path], kind: str = "") -> Path:

@@ -20,6 +20,7 @@ from ruamel.yaml.representer import RoundTripRepresenter
 
 from quadjax.core.errors import InputError, short
 from quadjax.core.files import read_text
+from quadjax.core.resources import refuse_part
 
 WIDTH = 79  # of comments, characters
 MAX_VALUES = 10**6  # of a file, which may come from a stranger
@@ -125,6 +126,7 @@ def parse_overrides(overrides: Sequence[str]) -> Tree:
     """
     tree: Tree = {}
     for override in overrides:
+        refuse_part(override)
         key, equals, text = override.partition("=")
         parts = key.split(".")
         if not equals or not all(parts) or len(parts) > MAX_DEPTH:

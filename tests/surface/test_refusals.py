@@ -143,6 +143,12 @@ compare standin --e2e indi | rate motor
 compare standin --e2e e2e nosuch | --e2e nosuch e2e_residual
 compare standin --failed-after 0 | --failed-after 0
 compare standin effects.wind=1 | effects.wind
+compare +hall | +hall: before 'e2e +hall'
+compare standin +hall | +hall: before 'e2e +hall'
+evaluate --policy e2e +hall | +hall: before 'e2e +hall'
+evaluate +hall --policy e2e | +hall: before 'e2e +hall'
+show +hall | +hall: before 'e2e +hall'
+train +hall | +hall: before 'e2e +hall'
 compare cyberzoo vehicle=5inch.yaml | 5inch.yaml cyberzoo bebop1.yaml base: plant/standin
 compare standin --drones 10 --runs 25 | --runs multiples (10)
 compare standin --name ../zz | ../zz
