@@ -35,10 +35,10 @@ SMALL = {
         "NOISE, YOURS = False, None",
     ],
     "logs_to_c": [
-        'FIT = ["residual.epochs=3", "split.folds=2"]',
+        'FIT = ["residual.epochs=3"]',
         # A residual of three epochs is zero, so its schedule would have no effect.
         f"OVERRIDES = {[*SHORT, 'schedules.vehicle.residual_gain=null']}",
-        "DRONE, FLIGHTS, LAPS, STEPS = 3, 1, 1, 512",
+        "FLIGHTS, LAPS, STEPS = 1, 1, 512",
         "ROLL, THRUST, RUNS, SEED = (0.0,), (1.0,), 2, 0",
         f'EXPORT = {{"allow_unfinished": True, "ranges": {WIDE}}}',
         'VERIFY = "--vectors 100 --allow-unfinished"',
