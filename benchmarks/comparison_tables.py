@@ -8,7 +8,7 @@ from benchmarks.settings import Tree
 from quadjax.evaluation.leads import Leads, leads, totals
 
 FAILED_AFTER = 35.0  # s: what a flight that does not finish counts as
-SCOPES = {"all": "one policy for all drones", "each": "one policy for each drone"}
+SCOPES = {"all": "one for all drones", "each": "one for each drone"}
 
 
 def flights(rows: Iterable[Tree]) -> np.ndarray:
@@ -35,7 +35,7 @@ def described(label: str, laps: np.ndarray, rows: Sequence[Tree]) -> Tree:
         "drones and seeds": f"{laps.shape[0]}, {laps.shape[1]}",
         "score, s": float(seeds.mean()),
         "of each seed, s": ", ".join(f"{score:.2f}" for score in seeds),
-        "time, s": float(times[done].mean()) if done.any() else float("nan"),
+        "time, s": f"{times[done].mean():.2f}" if done.any() else "-",
         "finished": f"{100 * done.mean():.1f}%",
         "mean action, finished": f"{finished} of {done.size}",
     }

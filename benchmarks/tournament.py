@@ -1,8 +1,7 @@
 """E2E against INDI on the drones of ``cyberzoo``, as docs/design/protocol.md says.
 
 A row of ``benchmarks/results/tournament.json`` has the flights of one training. A row that is there
-is not measured again, so the same command resumes. Seeds come first: wherever it stops, all drones
-have the same number of seeds.
+is not measured again, so the same command resumes. Seeds come first.
 
     python -m benchmarks.tournament --seeds 0 1 2 3 4
 """
@@ -52,6 +51,8 @@ def tournament(
     for given, allowed in ((scopes, SCOPES), (contenders, tuple(PRESETS))):
         if unknown := set(given) - set(allowed):
             raise InputError(f"unknown {sorted(unknown)}, allowed: {', '.join(allowed)}")
+    if max(drones) >= DRONES:
+        raise InputError(f"drones: {max(drones)}, allowed: 0 to {DRONES - 1}")
     done = {row["name"] for row in rows.read(FILE)}
     for seed, scope in itertools.product(seeds, scopes):
         for drone in drones if scope == "each" else (None,):

@@ -7,6 +7,7 @@ from benchmarks import interventions, tournament
 from benchmarks.comparison_tables import contenders, flights, lead_rows, steps
 from benchmarks.plant_tables import charged, looped
 from benchmarks.waterfall import PATH, figure_of
+from quadjax.core.errors import InputError
 
 NONE = [None, None]
 
@@ -47,15 +48,15 @@ def test_flights_are_of_drones_and_of_the_seeds_that_all_drones_have():
 def test_a_flight_that_does_not_finish_counts_as_35_s():
     lines = contenders({"tournament": ALL + EACH})
     assert [line["contender"] for line in lines] == [
-        "E2E, one policy for all drones",
-        "INDI, one policy for all drones",
-        "E2E, one policy for each drone",
-        "INDI, one policy for each drone",
+        "E2E, one for all drones",
+        "INDI, one for all drones",
+        "E2E, one for each drone",
+        "INDI, one for each drone",
     ]
     first = lines[0]
     assert first["score, s"] == pytest.approx((3 + 4 + 4 + 35 + 3 + 3 + 4 + 4) / 8)
     assert first["of each seed, s"] == "11.50, 3.50"
-    assert first["time, s"] == pytest.approx(25 / 7) and first["finished"] == "87.5%"
+    assert first["time, s"] == "3.57" and first["finished"] == "87.5%"
     assert first["drones and seeds"] == "2, 2" and lines[2]["drones and seeds"] == "2, 1"
 
 
@@ -85,6 +86,11 @@ def test_the_figure_has_a_line_for_each_step_that_has_rows():
     (axes,) = figure_of(data).axes
     assert [label.get_text() for label in axes.get_yticklabels()] == list(PATH[-2:])
     assert set(PATH) <= set(interventions.STEPS)
+
+
+def test_a_drone_that_the_plant_lacks_is_refused():
+    with pytest.raises(InputError, match=r"drones: 20, allowed: 0 to 19"):
+        tournament.tournament(drones=(3, 20), scopes=("each",))
 
 
 def test_a_row_names_the_command_that_makes_it():
