@@ -6,10 +6,13 @@ there is not measured again.
     python -m benchmarks.interventions --seeds 0 1 2 3 4
 """
 
+import dataclasses
 import itertools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import quadjax
 from benchmarks import rows
 from benchmarks.flown import flown, numbers, trained
 from benchmarks.tournament import PLANT, Names
@@ -33,6 +36,7 @@ def _thrust(limit: int) -> tuple[str, ...]:
     return (f"vehicle.constants.thrust_max={limit}",)
 
 
+MOTORS = "benchmarks/indi_inner_loop.yaml"  # INDI, trained on the motors through its loop
 QUICK = ("indi_simple.cutoff=20", "indi_simple.yaw_rate=4")  # of the inner loop
 STEPS = {
     **{f"INDI, {limit} m/s^2": Step("indi_cyberzoo", _thrust(limit)) for limit in range(13, 21)},
@@ -41,6 +45,11 @@ STEPS = {
     ),
     "INDI, 20 m/s^2, 6 rad/s, filters of 20 Hz": Step(
         "indi_cyberzoo", (*_thrust(20), *FAST), QUICK
+    ),
+    "INDI on the motors, 17 m/s^2": Step(MOTORS),
+    "INDI on the motors, 20 m/s^2": Step(MOTORS, _thrust(20)),
+    "INDI on the motors, 20 m/s^2, 6 rad/s": Step(
+        MOTORS, (*_thrust(20), *FAST), ("indi_simple.yaw_rate=4",)
     ),
     **{
         f"E2E, {speed} rpm": Step("e2e_cyberzoo", (f"vehicle.constants.rpm_max={speed}",))
@@ -70,9 +79,17 @@ def interventions(
         if name not in done:
             folder = output / f"{label} {seed}".replace("/", "_").replace(" ", "_")
             policy = trained(step.preset, step.training, seed, folder)
+            if step.preset == MOTORS:
+                policy = for_the_loop(policy, step.training)
             sampled = flown(policy, [PLANT, *step.plant], FLIGHTS, DRONES)
             rows.write(FILE, [row_of(label, seed) | numbers(*sampled)])
             print(name, flush=True)
+
+
+def for_the_loop(policy: quadjax.Policy, words: Sequence[str]) -> quadjax.Policy:
+    """A policy trained on the model ``inner_loop`` as one of ``rate``, which a plant can fly."""
+    race = quadjax.load("indi_cyberzoo", words).model_dump(mode="json", by_alias=True)
+    return dataclasses.replace(policy, vehicle="rate", config=race, residual=None)
 
 
 def row_of(label: str, seed: int) -> dict[str, Any]:
