@@ -55,6 +55,16 @@ STEPS = {
         f"E2E, {speed} rpm": Step("e2e_cyberzoo", (f"vehicle.constants.rpm_max={speed}",))
         for speed in (10300, 11000, 12000)
     },
+    **{
+        f"E2E, {what}": Step("e2e_cyberzoo", words)
+        for what, words in {
+            "estimate not observed": ("observation.disturbance=none",),
+            "no delay": ("vehicle.delay=null",),
+            "no battery": ("battery=null", "observation.highest_rpm=estimated"),
+            "highest speed observed": ("observation.highest_rpm=estimated",),
+            "lag drawn": ("randomization.constants={tau: 0.3}",),
+        }.items()
+    },
 }
 
 
@@ -79,10 +89,11 @@ def interventions(
         if name not in done:
             folder = output / f"{label} {seed}".replace("/", "_").replace(" ", "_")
             policy = trained(step.preset, step.training, seed, folder)
+            simulated = quadjax.evaluate(policy, runs=100, deterministic=False).rows[0].total
             if step.preset == MOTORS:
                 policy = for_the_loop(policy, step.training)
-            sampled = flown(policy, [PLANT, *step.plant], FLIGHTS, DRONES)
-            rows.write(FILE, [row_of(label, seed) | numbers(*sampled)])
+            measured = numbers(*flown(policy, [PLANT, *step.plant], FLIGHTS, DRONES))
+            rows.write(FILE, [row_of(label, seed) | {"simulated": simulated} | measured])
             print(name, flush=True)
 
 

@@ -8,6 +8,7 @@ is not measured again, so the same command resumes. Seeds come first.
 
 import functools
 import itertools
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,7 +22,12 @@ from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 
 FILE, PLANT, DRONES = "tournament", "cyberzoo", 20
-PRESETS = {"E2E": "e2e_cyberzoo", "INDI": "indi_cyberzoo"}
+PRESETS = {
+    "E2E": "e2e_cyberzoo",
+    "INDI": "indi_cyberzoo",
+    "E2E by PPO": "benchmarks/e2e_cyberzoo_ppo.yaml",
+    "INDI by PPO": "benchmarks/indi_cyberzoo_ppo.yaml",
+}
 SCOPES = ("all", "each")
 LIMITS = {  # those of the presets, as a fitted vehicle file has others
     "E2E": ["vehicle.constants.rpm_max=12000"],
@@ -34,7 +40,7 @@ Names = Annotated[tuple[str, ...], LIST]
 def tournament(
     *,
     scopes: Names = SCOPES,
-    contenders: Names = tuple(PRESETS),
+    contenders: Names = ("E2E", "INDI"),
     drones: Seeds = tuple(range(DRONES)),
     seeds: Seeds = (0,),
     output: Folder = Path("runs/tournament"),
@@ -43,7 +49,7 @@ def tournament(
 
     Args:
         scopes: all: one policy for all drones; each: one for each drone, on the fit to its logs.
-        contenders: E2E, INDI.
+        contenders: E2E, INDI; for one policy for all also "E2E by PPO" and "INDI by PPO".
         drones: with a policy of their own.
         seeds: of the trainings.
         output: folder of logs, fits and runs.
@@ -66,7 +72,7 @@ def tournament(
 def row_of(contender: str, drone: int | None, seed: int) -> dict[str, Any]:
     """Name, command and settings of a training; ``drone`` is None for one policy for all."""
     scope = "all" if drone is None else "each"
-    words = f"--scopes {scope} --contenders {contender} --seeds {seed}"
+    words = f"--scopes {scope} --contenders {shlex.quote(contender)} --seeds {seed}"
     words += "" if drone is None else f" --drones {drone}"
     return {
         "name": f"{contender}, {'all' if drone is None else f'drone {drone}'}, seed {seed}",
@@ -98,7 +104,7 @@ def identified(folder: Path, drone: int) -> Path:
     """The folder of the fit to logs of both shipped policies on a drone."""
     written, found = folder / "logs", folder / "fit"
     if not list(written.glob("*.csv")):
-        files = [PRETRAINED / f"{name}.npz" for name in PRESETS.values()]
+        files = [PRETRAINED / f"{PRESETS[name]}.npz" for name in LIMITS]
         logs(PLANT, f"drone={drone}", output=written, policy=files, flights=LOGGED)
     if not (found / "vehicle.yaml").exists():
         words = [f"logs.files=[{(written / '*.csv').resolve()}]", "figures=false"]
