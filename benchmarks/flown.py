@@ -8,16 +8,32 @@ from typing import Any
 import numpy as np
 
 import quadjax
+from quadjax.cli.fit import fit
+from quadjax.cli.logs import logs
+from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.rows import Row
 from quadjax.plant.config import load_plant_config
 
 LAPS, SEED = 6, 2000  # of the flights; the seed of their noise
+LOGGED = 6  # flights of each policy for a fit
 
 
 def trained(preset: str, words: Sequence[str], seed: int, folder: Path) -> quadjax.Policy:
     """The policy of a training, which is resumed, or read if it has ended."""
     config = quadjax.load(preset, [*words, f"seed={seed}", "run.devices=1"])
     return quadjax.train(config, folder, resume=True).policy
+
+
+def identified(folder: Path, plant: Sequence[str], policies: Sequence[str]) -> Path:
+    """The folder of the fit to logs of shipped policies on a drone, made if it is not there."""
+    written, found = folder / "logs", folder / "fit"
+    if not list(written.glob("*.csv")):
+        files = [PRETRAINED / f"{name}.npz" for name in policies]
+        logs(*plant, output=written, policy=files, flights=LOGGED)
+    if not (found / "vehicle.yaml").exists():
+        words = [f"logs.files=[{(written / '*.csv').resolve()}]", "figures=false"]
+        fit(plant[0], *words, output=folder, name="fit")
+    return found
 
 
 def flown(

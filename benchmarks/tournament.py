@@ -6,20 +6,16 @@ is not measured again, so the same command resumes. Seeds come first.
     python -m benchmarks.tournament --seeds 0 1 2 3 4
 """
 
-import functools
 import itertools
 import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
 from benchmarks import rows
-from benchmarks.flown import flown, numbers, trained
+from benchmarks.flown import flown, identified, numbers, trained
 from quadjax.cli import script
-from quadjax.cli.fit import fit
-from quadjax.cli.logs import logs
 from quadjax.cli.options import LIST, Folder, Seeds
 from quadjax.core.errors import InputError
-from quadjax.core.resources import PRETRAINED
 
 FILE, PLANT, DRONES = "tournament", "cyberzoo", 20
 PRESETS = {
@@ -33,7 +29,7 @@ LIMITS = {  # those of the presets, as a fitted vehicle file has others
     "E2E": ["vehicle.constants.rpm_max=12000"],
     "INDI": ["vehicle.constants.thrust_max=17", "vehicle.constants.r_max=2"],
 }
-FLIGHTS, LOGGED = 20, 6  # on a drone: of each policy, and of each shipped one for a fit
+FLIGHTS = 20  # on a drone, of each policy
 Names = Annotated[tuple[str, ...], LIST]
 
 
@@ -91,25 +87,16 @@ def measure(contender: str, drone: int | None, seed: int, output: Path) -> dict[
     folder = output / ("all" if drone is None else f"drone_{drone}")
     words, plant, count = [], [PLANT], DRONES
     if drone is not None:
-        found, plant, count = identified(folder, drone), [PLANT, f"drone={drone}"], 1
+        found, plant, count = (
+            identified(folder, [PLANT, f"drone={drone}"], [PRESETS[x] for x in LIMITS]),
+            [PLANT, f"drone={drone}"],
+            1,
+        )
         words += [f"vehicle.file={found / 'vehicle.yaml'}", *LIMITS[contender]]
         if contender == "E2E":
             words.append(f"vehicle.residual={found / 'residual.npz'}")
     policy = trained(PRESETS[contender], words, seed, folder / f"{contender.lower()}_{seed}")
     return numbers(*flown(policy, plant, FLIGHTS, count))
-
-
-@functools.cache
-def identified(folder: Path, drone: int) -> Path:
-    """The folder of the fit to logs of both shipped policies on a drone."""
-    written, found = folder / "logs", folder / "fit"
-    if not list(written.glob("*.csv")):
-        files = [PRETRAINED / f"{PRESETS[name]}.npz" for name in LIMITS]
-        logs(PLANT, f"drone={drone}", output=written, policy=files, flights=LOGGED)
-    if not (found / "vehicle.yaml").exists():
-        words = [f"logs.files=[{(written / '*.csv').resolve()}]", "figures=false"]
-        fit(PLANT, *words, output=folder, name="fit")
-    return found
 
 
 if __name__ == "__main__":

@@ -2,13 +2,11 @@
 
 import importlib
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import quadjax
-from benchmarks.ablation import VARIANTS
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError, InputWarning
 from quadjax.core.resources import PRETRAINED
@@ -21,7 +19,6 @@ from tests.evaluation.support import flights
 
 comparison = importlib.import_module("quadjax.evaluation.compare")  # not the function
 evaluation = importlib.import_module("quadjax.evaluation.evaluate")
-ROOT = Path(__file__).resolve().parents[2]
 FASTER = {"motor": 0.0, "rate": 0.25}  # s of a lap: INDI is slower
 
 
@@ -149,15 +146,6 @@ def test_a_race_of_neither_is_told_once_of_each(stops, tmp_path, capsys, monkeyp
     assert run("compare", "standin", "--race", race, *more, "--output", tmp_path) == 2
     error = capsys.readouterr().err
     assert "error: stopped" in error and error.count("trained in another race") == 2
-
-
-@pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: f"{v.group} {v.label}")
-def test_policies_of_the_ablation_can_be_trained(variant, monkeypatch):
-    monkeypatch.chdir(ROOT)
-    config, *arguments = variant.training
-    read = load_config(config, [f"name={variant.policy}", *arguments])
-    assert read.name == variant.policy and read.vehicle.model == "motor"
-    assert (PRETRAINED / "ablation" / f"{variant.policy}.npz").is_file()
 
 
 @pytest.mark.slow

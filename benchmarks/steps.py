@@ -1,0 +1,43 @@
+"""The trainings of the interventions: from INDI to E2E, and E2E without one of what it has."""
+
+from typing import NamedTuple
+
+FAST = tuple(f"vehicle.constants.{rate}_max={6 if rate != 'r' else 4}" for rate in "pqr")
+MOTORS = "benchmarks/indi_inner_loop.yaml"  # INDI, trained on the motors through its loop
+
+
+class Step(NamedTuple):
+    """What is trained, and what is changed in the training and on the plant."""
+
+    preset: str
+    training: tuple[str, ...] = ()
+    plant: tuple[str, ...] = ()
+
+
+def _thrust(limit: int) -> tuple[str, ...]:
+    return (f"vehicle.constants.thrust_max={limit}",)
+
+
+YAW = ("indi_simple.yaw_rate=4",)  # of the inner loop
+STEPS = {
+    **{f"INDI, {limit} m/s^2": Step("indi_cyberzoo", _thrust(limit)) for limit in range(13, 21)},
+    "INDI, 20 m/s^2, 6 rad/s": Step("indi_cyberzoo", (*_thrust(20), *FAST), YAW),
+    "INDI, 20 m/s^2, 6 rad/s, filters of 20 Hz": Step(
+        "indi_cyberzoo", (*_thrust(20), *FAST), ("indi_simple.cutoff=20", *YAW)
+    ),
+    "INDI on the motors, 17 m/s^2": Step(MOTORS),
+    "INDI on the motors, 20 m/s^2": Step(MOTORS, _thrust(20)),
+    "INDI on the motors, 20 m/s^2, 6 rad/s": Step(MOTORS, (*_thrust(20), *FAST), YAW),
+    **{
+        f"E2E, {speed} rpm": Step("e2e_cyberzoo", (f"vehicle.constants.rpm_max={speed}",))
+        for speed in (10300, 11000, 12000)
+    },
+}
+WITHOUT = {
+    "E2E, estimate not observed": Step("e2e_cyberzoo", ("observation.disturbance=none",)),
+    "E2E, no delay": Step("e2e_cyberzoo", ("vehicle.delay=null",)),
+    "E2E, no battery": Step("e2e_cyberzoo", ("battery=null", "observation.highest_rpm=estimated")),
+    "E2E, highest speed observed": Step("e2e_cyberzoo", ("observation.highest_rpm=estimated",)),
+    "E2E, lag drawn": Step("e2e_cyberzoo", ("randomization.constants={tau: 0.3}",)),
+}
+ALL = STEPS | WITHOUT
