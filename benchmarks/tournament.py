@@ -87,11 +87,8 @@ def measure(contender: str, drone: int | None, seed: int, output: Path) -> dict[
     folder = output / ("all" if drone is None else f"drone_{drone}")
     words, plant, count = [], [PLANT], DRONES
     if drone is not None:
-        found, plant, count = (
-            identified(folder, [PLANT, f"drone={drone}"], [PRESETS[x] for x in LIMITS]),
-            [PLANT, f"drone={drone}"],
-            1,
-        )
+        plant, count = [PLANT, f"drone={drone}"], 1
+        found = identified(folder, plant, [PRESETS[name] for name in LIMITS])
         words += [f"vehicle.file={found / 'vehicle.yaml'}", *LIMITS[contender]]
         if contender == "E2E":
             words.append(f"vehicle.residual={found / 'residual.npz'}")
