@@ -5,9 +5,16 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from benchmarks.settings import Tree
+from benchmarks.steps import CHANGES
 from quadjax.evaluation.leads import Leads, leads, totals
 
 FAILED_AFTER = 35.0  # s: what a flight that does not finish counts as
+PRESETS = {
+    "E2E": "e2e_cyberzoo",
+    "INDI": "indi_cyberzoo",
+    "E2E by PPO": "benchmarks/e2e_cyberzoo_ppo.yaml",
+    "INDI by PPO": "benchmarks/indi_cyberzoo_ppo.yaml",
+}
 SCOPES = {"all": "one for all drones", "each": "one for each drone"}
 
 
@@ -30,6 +37,7 @@ def described(label: str, laps: np.ndarray, rows: Sequence[Tree]) -> Tree:
     done = np.isfinite(times)
     finished = sum(row["mean action, finished"] for row in rows)
     seeds = totals(laps, FAILED_AFTER).mean(axis=(0, 2))
+    simulated = [row["simulated"] for row in rows if "simulated" in row]
     return {
         "contender": label,
         "drones and seeds": f"{laps.shape[0]}, {laps.shape[1]}",
@@ -38,6 +46,7 @@ def described(label: str, laps: np.ndarray, rows: Sequence[Tree]) -> Tree:
         "time, s": f"{times[done].mean():.2f}" if done.any() else "-",
         "finished": f"{100 * done.mean():.1f}%",
         "mean action, finished": f"{finished} of {done.size}",
+        "simulated, s": f"{np.mean(simulated):.2f}" if simulated else "-",
     }
 
 
@@ -45,7 +54,7 @@ def contenders(data: dict[str, list[Tree]]) -> list[Tree]:
     """A line for each contender and scope of the tournament."""
     made = []
     for scope, title in SCOPES.items():
-        for name in ("E2E", "INDI"):
+        for name in PRESETS:
             rows = [r for r in data["tournament"] if (r["contender"], r["scope"]) == (name, scope)]
             if rows:
                 made.append(described(f"{name}, {title}", flights(rows), rows))
@@ -82,9 +91,24 @@ def lead_rows(data: dict[str, list[Tree]]) -> list[Tree]:
     return made
 
 
-def steps(data: dict[str, list[Tree]]) -> list[Tree]:
-    """A line for each step of the interventions."""
-    found = {row["step"] for row in data["interventions"]}
-    labels = sorted(found, key=lambda step: (step.startswith("E2E"), step))
-    groups = {k: [r for r in data["interventions"] if r["step"] == k] for k in labels}
-    return [described(label, flights(rows), rows) for label, rows in groups.items()]
+def steps(data: dict[str, list[Tree]], of: Iterable[str]) -> list[Tree]:
+    """A line for each of some steps of the interventions that has rows."""
+    groups = {label: _of_step(data, label) for label in of}
+    return [described(label, flights(rows), rows) for label, rows in groups.items() if rows]
+
+
+def effects(data: dict[str, list[Tree]]) -> list[Tree]:
+    """By how much the score falls from one step of the chain to the next."""
+    made = []
+    for before, after in CHANGES:
+        pair = [_of_step(data, label) for label in (before, after)]
+        if all(pair):
+            earlier, later = map(flights, pair)
+            saved = leads(later, earlier, FAILED_AFTER).score
+            counts = f"{earlier.shape[1]}, {later.shape[1]}"
+            made.append({"from": before, "to": after, "trainings": counts, "saved, s": str(saved)})
+    return made
+
+
+def _of_step(data: dict[str, list[Tree]], label: str) -> list[Tree]:
+    return [row for row in data["interventions"] if row["step"] == label]

@@ -56,9 +56,11 @@ def interventions(
 
 
 def policy_of(label: str, seed: int, output: Path) -> quadjax.Policy:
-    """The policy of a training in a folder of runs."""
-    folder = output / f"{label} {seed}".replace("/", "_").replace(" ", "_")
-    return trained(ALL[label].preset, ALL[label].training, seed, folder)
+    """The policy of a step's training, which is named after the first step that has it."""
+    step = ALL[label]
+    same = next(name for name, each in ALL.items() if each[:2] == step[:2])
+    folder = output / f"{same} {seed}".replace("/", "_").replace(" ", "_")
+    return trained(step.preset, step.training, seed, folder)
 
 
 def for_the_loop(policy: quadjax.Policy, words: Sequence[str]) -> quadjax.Policy:

@@ -17,6 +17,7 @@ from quadjax.core.resources import PRETRAINED
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", PRETRAINED / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+OF_ONE = re.compile(r", (drone|seed) \d+")
 BLOCK = re.compile(r"(<!-- results: (\w+) -->\n(\n?)).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -31,11 +32,11 @@ def drawn(made: Table, data: Data) -> str:
 
 
 def measured(rows: Iterable[Tree]) -> str:
-    """Commit and machine of rows, a line for all that share them."""
+    """Commit and machine of rows, a line for all that share them, each drone and seed once."""
     groups: dict[str, dict[str, None]] = {}
     for row in (row for row in rows if "machine" in row):
         names = groups.setdefault(f"- `{row['commit']}`, {row['machine']}", {})
-        names[f"`{row['name']}`"] = None
+        names[f"`{OF_ONE.sub('', row['name'])}`"] = None
     lines = [f"{key}: {', '.join(names)}" for key, names in groups.items()]
     return "\n".join(fill(line, 100, subsequent_indent="  ") for line in lines)
 

@@ -40,4 +40,26 @@ WITHOUT = {
     "E2E, highest speed observed": Step("e2e_cyberzoo", ("observation.highest_rpm=estimated",)),
     "E2E, lag drawn": Step("e2e_cyberzoo", ("randomization.constants={tau: 0.3}",)),
 }
-ALL = STEPS | WITHOUT
+OBSERVED = ("observation.highest_rpm=estimated",)
+TRAINED = {  # for a battery that gets empty
+    "E2E": ("vehicle.constants.rpm_max=12000",),
+    "E2E, highest speed observed": OBSERVED,
+    "E2E, highest speed observed, low charges": (*OBSERVED, "battery.charge=[0.1, 1.0]"),
+}
+CHARGED = {
+    f"{label}, charge {charge}": Step(
+        "e2e_cyberzoo", words, (f"battery.charge=[{charge}, {charge}]",)
+    )
+    for label, words in TRAINED.items()
+    for charge in (1.0, 0.2)
+}
+ALL = STEPS | WITHOUT | CHARGED
+CHANGES = (  # steps from INDI to E2E, and back
+    ("INDI, 17 m/s^2", "INDI, 20 m/s^2"),
+    ("INDI, 17 m/s^2", "INDI on the motors, 17 m/s^2"),
+    ("INDI on the motors, 17 m/s^2", "INDI on the motors, 20 m/s^2"),
+    ("INDI on the motors, 20 m/s^2", "INDI on the motors, 20 m/s^2, 6 rad/s"),
+    ("INDI on the motors, 20 m/s^2", "E2E, 12000 rpm"),
+    ("E2E, 12000 rpm", "E2E, 11000 rpm"),
+    ("E2E, 11000 rpm", "E2E, 10300 rpm"),
+)

@@ -12,18 +12,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from benchmarks import rows
+from benchmarks.comparison_tables import PRESETS
 from benchmarks.flown import flown, identified, numbers, trained
 from quadjax.cli import script
 from quadjax.cli.options import LIST, Folder, Seeds
 from quadjax.core.errors import InputError
 
 FILE, PLANT, DRONES = "tournament", "cyberzoo", 20
-PRESETS = {
-    "E2E": "e2e_cyberzoo",
-    "INDI": "indi_cyberzoo",
-    "E2E by PPO": "benchmarks/e2e_cyberzoo_ppo.yaml",
-    "INDI by PPO": "benchmarks/indi_cyberzoo_ppo.yaml",
-}
 SCOPES = ("all", "each")
 LIMITS = {  # those of the presets, as a fitted vehicle file has others
     "E2E": ["vehicle.constants.rpm_max=12000"],

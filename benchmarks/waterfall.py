@@ -21,11 +21,12 @@ PATH = (  # from INDI to E2E
     "INDI, 17 m/s^2",
     "INDI, 18 m/s^2",
     "INDI, 20 m/s^2",
-    "INDI, 20 m/s^2, 6 rad/s",
-    "INDI, 20 m/s^2, 6 rad/s, filters of 20 Hz",
-    "E2E, 10300 rpm",
-    "E2E, 11000 rpm",
+    "INDI on the motors, 17 m/s^2",
+    "INDI on the motors, 20 m/s^2",
+    "INDI on the motors, 20 m/s^2, 6 rad/s",
     "E2E, 12000 rpm",
+    "E2E, 11000 rpm",
+    "E2E, 10300 rpm",
 )
 
 
