@@ -17,7 +17,7 @@ import numpy as np
 
 from quadjax.cli import script
 from quadjax.cli.options import ConfigName, Folder, Overrides, Seed, whole
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.drone import check_drone
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Randomization
@@ -37,9 +37,9 @@ def draw_drones(config, count: int, seed: int) -> Constants:
             "randomization draws no constants, allowed: a fraction (randomization.all=0.2) or a "
             "population"
         )
-    choices, params = race_of(config.replace(schedules={}))
-    states = starting_states(choices, params, jax.random.key(seed), count, True)
-    return reachable(choices.model, params.vehicle.constants, states.constants)
+    environment, params = make_race(config.replace(schedules={}))
+    states = starting_states(environment, params, jax.random.key(seed), count, True)
+    return reachable(environment.model, params.vehicle.constants, states.constants)
 
 
 def reachable(model, nominal: Constants, drawn: Constants) -> Constants:

@@ -27,10 +27,11 @@ import numpy as np
 
 import quadjax
 from quadjax.cli import options, script
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.core.markdown import table
-from quadjax.race import environment, laps
-from quadjax.race.types import Choices, RaceParams, RaceState
+from quadjax.race import laps
+from quadjax.race.environment import Race, without_training_limits
+from quadjax.race.types import RaceParams, RaceState
 
 TRACKS = ("square4", "figure8", "ring8")
 LAPS, HORIZON = 3, 50  # of a flight; steps
@@ -47,35 +48,35 @@ def noise(key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
     return jax.lax.scan(blend, (white := jax.random.normal(key, shape))[0], white)[1]
 
 
-def returns(choices: Choices, params: RaceParams, start: RaceState, plan: jax.Array) -> jax.Array:
+def returns(environment: Race, params: RaceParams, start: RaceState, plan: jax.Array) -> jax.Array:
     """Sum of rewards () of a sequence of actions (horizon, actions) until the drone crashes."""
 
     def step(carry: tuple[RaceState, jax.Array], action: jax.Array) -> tuple:
         state, alive = carry
-        following, value, outcome = environment.transition(choices, params, state, action)
+        following, value, outcome = environment.transition(params, state, action)
         return (following, alive & ~outcome.crashed), jnp.where(alive, value, 0.0)
 
     return jax.lax.scan(step, (start, jnp.array(True)), plan)[1].sum()
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
-def fly(choices: Choices, n: int, params: RaceParams, seed: int, end: int) -> laps.LapState:
+def fly(environment: Race, n: int, params: RaceParams, seed: int, end: int) -> laps.LapState:
     """Fly from hover for at most ``end`` () steps, with ``n`` sequences of actions."""
-    exact, key = environment.exact_rules(choices.model, params), jax.random.key(seed)
-    hover = laps.starting_states(choices, exact, key, 1, True)
+    exact, key = without_training_limits(environment.model, params), jax.random.key(seed)
+    hover = laps.starting_states(environment, exact, key, 1, True)
     first = jax.tree.map(lambda x: x[..., 0], laps.begin(hover, LAPS))
 
     def step(loop: tuple) -> tuple:
         race, plan, key = loop
         key, use = jax.random.split(key)
         drawn = jnp.clip(plan[:, None] + STD * noise(use, (HORIZON, n, plan.shape[1])), -1.0, 1.0)
-        evaluate = functools.partial(returns, choices, params, race.state)
+        evaluate = functools.partial(returns, environment, params, race.state)
         weights = jax.nn.softmax(jax.vmap(evaluate, in_axes=1)(drawn) / TEMPERATURE)
         plan = jnp.einsum("s,hsa->ha", weights, drawn)
-        race = laps.advance(choices, exact, race, plan[0])
+        race = laps.advance(environment, exact, race, plan[0])
         return race, jnp.concatenate([plan[1:], plan[-1:]]), key
 
-    begin = (first, jnp.zeros((HORIZON, choices.model.action_size)), key)
+    begin = (first, jnp.zeros((HORIZON, environment.model.action_size)), key)
     return jax.lax.while_loop(lambda x: (x[0].state.step < end) & ~x[0].over, step, begin)[0]
 
 
@@ -91,10 +92,10 @@ def mppi(
     pairs = list(itertools.product(tracks, seeds))
     configs = [quadjax.load("e2e_race", [f"track={x}", f"seed={seed}"]) for x, seed in pairs]
     for (track, seed), config in zip(pairs, configs, strict=True):
-        choices, params = race_of(config)
-        jax.block_until_ready(fly(choices, samples, params, seed, 1))  # compile
+        environment, params = make_race(config)
+        jax.block_until_ready(fly(environment, samples, params, seed, 1))  # compile
         began, end = time.monotonic(), laps.step_limit(params, LAPS)
-        race = jax.block_until_ready(fly(choices, samples, params, seed, end))
+        race = jax.block_until_ready(fly(environment, samples, params, seed, end))
         cost = (time.monotonic() - began) / (int(race.state.step) * config.rules.time_step)
         flown = [np.diff(np.where(race.lap_end > 0.0, race.lap_end, np.nan), prepend=0.0)]
         if train:

@@ -14,14 +14,15 @@ import numpy as np
 from benchmarks.drones import reachable
 from quadjax.cli import script
 from quadjax.cli.options import ConfigName, Count, Overrides, PolicyFile, Seed
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
 from quadjax.core import mlp
 from quadjax.core.errors import InputError
 from quadjax.core.markdown import table
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
-from quadjax.race import environment, laps
+from quadjax.race import laps
+from quadjax.race.environment import without_training_limits
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.summary import AXES, turns
 
@@ -42,14 +43,16 @@ def quantities(model, constants) -> dict[str, np.ndarray]:
 
 def sample(policy, config, drones, seconds, seed) -> tuple[np.ndarray, dict, dict]:
     """Drone (n,), inputs by source (n, k) and quantities by name (drones,) of all samples."""
-    choices, params = pilot.fit_race(*race_of(config.replace(schedules={})), policy)
-    params = environment.exact_rules(choices.model, params)
-    pilot_params = pilot.make_pilot(choices, params, policy, deterministic=True)
-    states = laps.starting_states(choices, params, jax.random.key(seed), drones, from_hover=True)
+    environment, params = pilot.fit_race(*make_race(config.replace(schedules={})), policy)
+    params = without_training_limits(environment.model, params)
+    pilot_params = pilot.make_pilot(environment, params, policy, deterministic=True)
+    states = laps.starting_states(
+        environment, params, jax.random.key(seed), drones, from_hover=True
+    )
     if states.constants is None:
         raise InputError("randomization draws no constants, allowed: randomization.all=0.2")
-    step = laps.stepper(choices, pilot.fly, params, pilot_params)
-    observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))
+    step = laps.stepper(environment, pilot.fly, params, pilot_params)
+    observe = jax.vmap(environment.observation, in_axes=(None, -1))
     rate = 1.0 / float(params.rules.time_step)
 
     def advance(race, count):
@@ -71,8 +74,8 @@ def sample(policy, config, drones, seconds, seed) -> tuple[np.ndarray, dict, dic
     for number, (kernel, bias) in enumerate(layers[:-1], start=1):
         last = list(inputs.values())[-1]
         inputs[f"layer {number}"] = mlp.ACTIVATIONS[policy.activation](last @ kernel + bias)
-    drawn = reachable(choices.model, params.vehicle.constants, states.constants)
-    return np.tile(np.arange(drones), count)[kept], inputs, quantities(choices.model, drawn)
+    drawn = reachable(environment.model, params.vehicle.constants, states.constants)
+    return np.tile(np.arange(drones), count)[kept], inputs, quantities(environment.model, drawn)
 
 
 def r_squared(drone, inputs, values) -> float:

@@ -28,13 +28,12 @@ def environment_loop(config, num_envs: int, observed: bool) -> tuple:
     import jax.numpy as jnp
     from jax.sharding import PartitionSpec
 
-    from quadjax.config.assembly import make_choices, make_params
-    from quadjax.core.environment import vectorize, where_done
+    from quadjax.config.assembly import make_environment, make_params
+    from quadjax.core.environment import Vectorized, where_done
     from quadjax.learners import parallel
-    from quadjax.race.environment import make_environment
 
-    environment, params = make_environment(make_choices(config)), make_params(config)
-    batched, steps = vectorize(environment), min(20_000, max(50, STEPS_PER_CALL // num_envs))
+    environment, params = make_environment(config), make_params(config)
+    batched, steps = Vectorized(environment), min(20_000, max(50, STEPS_PER_CALL // num_envs))
 
     def loop(params, state, fresh, action):
         def one(carry, _):

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import quadjax
-from quadjax.config.assembly import make_choices
+from quadjax.config.assembly import make_environment
 from quadjax.core.errors import InputError
 from quadjax.core.mlp import Params
 from quadjax.learners.loop import Plan, train_chunks
@@ -20,7 +20,7 @@ from quadjax.learners.parallel import repeat
 from quadjax.learners.state import Learner
 from quadjax.policy.inference import PolicyParams, act_deterministic, act_sampled
 from quadjax.race import laps
-from quadjax.race.environment import exact_rules
+from quadjax.race.environment import without_training_limits
 from quadjax.race.types import RaceParams
 from quadjax.training import build
 from quadjax.training.checkpoint import RunState
@@ -47,11 +47,12 @@ def stack(trees: Sequence[Any]) -> tuple[Any, Any]:
 
 def scorer(config: quadjax.Config, params: Sequence[RaceParams]) -> Callable[[Any], list[float]]:
     """The scores of ``quadjax.training.score.make_flights`` for the parameters of all trainings."""
-    choices, length, runs = make_choices(config), config.evaluate.laps, score_runs(config)
+    environment, length, runs = make_environment(config), config.evaluate.laps, score_runs(config)
     act = act_sampled if config.run.score == "sampled" else act_deterministic
     start_key, key = jax.random.split(jax.random.key(0))
     exact = [
-        exact_rules(choices.model, x).replace(observation_scale=x.observation_scale) for x in params
+        without_training_limits(environment.model, x).replace(observation_scale=x.observation_scale)
+        for x in params
     ]
     sizes = length, max(laps.step_limit(x, length) for x in exact), False
     (stacked, axes), dt = stack(exact), float(exact[0].rules.time_step)
@@ -61,13 +62,13 @@ def scorer(config: quadjax.Config, params: Sequence[RaceParams]) -> Callable[[An
     @functools.partial(jax.vmap, in_axes=(axes, 0))
     def fly(race: RaceParams, params: Params) -> Any:
         policy = PolicyParams({name: params[name] for name in ("actor", "log_std")}, network)
-        states = laps.starting_states(choices, race, start_key, runs, from_hover=True)
-        return laps.fly_race(choices, act, *sizes, race, policy, states, key)[0]
+        states = laps.starting_states(environment, race, start_key, runs, from_hover=True)
+        return laps.fly_race(environment, act, *sizes, race, policy, states, key)[0]
 
     def score(params: Params) -> list[float]:
         flown = jax.device_get(fly(stacked, params))
         limits = [laps.time_limit(race.track, length) for race in exact]
-        return [laps.laps_of(choices, at(flown, i), dt, x).score for i, x in enumerate(limits)]
+        return [laps.laps_of(environment, at(flown, i), dt, x).score for i, x in enumerate(limits)]
 
     return score
 

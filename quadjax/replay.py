@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadjax.config.assembly import make_choices, make_params
+from quadjax.config.assembly import make_environment, make_params
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
@@ -77,13 +77,13 @@ def replay(
         flight = vehicle_flight(log, model, params)
         return flight.with_passages(track.gates, REACH, track.closed)
 
-    model, params, commands = make_choices(drone).model, make_params(drone).vehicle, None
+    model, params, commands = make_environment(drone).model, make_params(drone).vehicle, None
     flight, gates = flight_of(model, params), track.gates
     where = f"{flight.name}: {drone.vehicle.name}, {track.name}"
     figures = {"trajectory": trajectory_figure([flight], gates, where)}
     if race is not None and policy is not None:
         report("commands of the policy")
-        seen = flight_of(race.choices.model, race.params.vehicle)
+        seen = flight_of(race.environment.model, race.params.vehicle)
         commands, response = _commands(seen, race, policy)
         title = f"{flight.name}: commands in the logged states"
         figures["commands"] = error_figure(seen, response, len(gates), title)
@@ -143,7 +143,7 @@ def _commands(flight: Flight, race: PolicyRace, policy: Policy) -> tuple[dict[st
 
     The logged commands, the policy's, and its fixed-point ones; NaN where one is missing.
     """
-    model, logged, source = race.choices.model, None, "logged commands"
+    model, logged, source = race.environment.model, None, "logged commands"
     if "command" in flight.signals:
         logged = flight["command"]
     elif [signal[1:] for signal in model.commands] == [model.actuators[1:]]:
@@ -205,10 +205,10 @@ def _observations(
     flight: Flight, race: PolicyRace, commands: np.ndarray | None
 ) -> tuple[np.ndarray, str]:
     """Observations (n, inputs) float32, in the scaling of training, and their disturbances."""
-    layout, model = race.choices.layout, race.choices.model
+    layout, model = race.environment.layout, race.environment.model
     sizes, more = state_sizes(layout, model), {}
     if LAST_COMMAND in sizes and commands is not None:
-        low, high = command_ranges(race.choices, race.params)
+        low, high = command_ranges(race.environment, race.params)
         more[LAST_COMMAND] = np.concatenate([[0.5 * (low + high)], commands[:-1]])
     observed = [name for name in layout.names if name in DISTURBANCES]
     estimates = disturbances_of(flight, model, race.params.vehicle) if observed else {}

@@ -169,7 +169,7 @@ def _entry(
 ) -> tuple[str, tuple["Policy", "RaceConfig"]]:
     """The path of a policy file; the policy and the race that it flies."""
     with loading():
-        from quadjax.config.assembly import race_of
+        from quadjax.config.assembly import make_race
         from quadjax.config.loading import load_config
         from quadjax.policy.file import Policy
         from quadjax.policy.pilot import fit_race
@@ -182,17 +182,17 @@ def _entry(
     except InputError as error:
         text = str(error).replace("config=CONFIG", "quadjax evaluate CONFIG")
         raise InputError(text) from None
-    fit_race(*race_of(race), policy, str(path))
+    fit_race(*make_race(race), policy, str(path))
     return str(path), (policy, race)
 
 
 def _fixed_point(policy: "Policy", race: "RaceConfig", ranges: Mapping[str, float]) -> "Actor":
     """The arithmetic of C that is exported with ranges, as an actor."""
-    from quadjax.config.assembly import race_of
+    from quadjax.config.assembly import make_race
     from quadjax.export.emulator import fixed_point_fly
     from quadjax.export.ranges import track_ranges
 
-    _, params = race_of(race)
+    _, params = make_race(race)
     return fixed_point_fly(policy, track_ranges(policy.layout, params.track) | dict(ranges))
 
 

@@ -1,4 +1,4 @@
-"""From a config to the racing environment: its static choices and its traced parameters."""
+"""From a config to the racing environment, which is static, and its traced parameters."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -8,18 +8,17 @@ import jax
 import jax.numpy as jnp
 
 from quadjax.config.schema import Config
-from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
 from quadjax.core.precision import single_precision
 from quadjax.core.traced import SectionType, as_leaves
 from quadjax.race.draws import FROM_GROUND, Disturbance, Start
-from quadjax.race.environment import make_environment
+from quadjax.race.environment import Race
 from quadjax.race.layout import ObservedField
 from quadjax.race.observations import make_layout
 from quadjax.race.rules import Rules
 from quadjax.race.track import Track, inside_turn, make_track, make_tracks
-from quadjax.race.types import Choices, RaceParams
+from quadjax.race.types import RaceParams
 from quadjax.vehicle import motor
 from quadjax.vehicle.battery import Battery, battery_params, limit_estimator
 from quadjax.vehicle.constants import replaced
@@ -47,13 +46,13 @@ def vehicle_model(config: Config) -> VehicleModel:
     return base
 
 
-def make_choices(config: Config) -> Choices:
-    """The static part, which selects code."""
+def make_environment(config: Config) -> Race:
+    """The environment, which is static: it chooses code."""
     vehicle, observed = vehicle_model(config), config.observation
     extra = tuple(
         field for _, field in _user_objects("observation.extra", observed.extra, ObservedField)
     )
-    return Choices(
+    return Race(
         model=vehicle,
         layout=make_layout(vehicle, observed, extra, battery=config.battery is not None),
         integrator=config.vehicle.integrator,
@@ -63,7 +62,14 @@ def make_choices(config: Config) -> Choices:
         user_terms=_user_objects("reward.terms", config.reward.terms),
         user_rules=_user_objects("rules.extra", config.rules.extra),
         report_passes=any(x.by == "pass_rate" for x in config.schedules.values()),
+        own_code=object() if _has_own_code(config) else None,
     )
+
+
+def _has_own_code(config: Config) -> bool:
+    """Whether a step calls code of the user, which may read what changes between two trainings."""
+    extra = config.observation.extra, config.reward.terms, config.rules.extra
+    return ":" in config.vehicle.model or any(extra)
 
 
 def _user_objects(
@@ -124,6 +130,7 @@ def make_params(config: Config) -> RaceParams:
         estimator=_estimator(config, vehicle),
         battery=_battery(config, vehicle),
         delay=None if config.vehicle.delay is None else _pair(config.vehicle.delay),
+        opaque_true=jnp.asarray(True),
     )
 
 
@@ -185,14 +192,9 @@ def _battery(config: Config, vehicle: VehicleParams) -> Battery | None:
     )
 
 
-def race_of(config: Config) -> tuple[Choices, RaceParams]:
-    """The race of a config: its static choices, and every number in it."""
-    return make_choices(config), make_params(config)
-
-
 @single_precision
-def make_race(config: Config | Path | str) -> tuple[Environment, RaceParams]:
-    """The race of a config as three pure functions of one drone, and every number in them.
+def make_race(config: Config | Path | str) -> tuple[Race, RaceParams]:
+    """The race of a config as an environment of one drone, and every number in it.
 
     Args:
         config: a config, a preset's name or a YAML file.
@@ -205,5 +207,5 @@ def make_race(config: Config | Path | str) -> tuple[Environment, RaceParams]:
     """
     from quadjax.config.loading import load_config
 
-    choices, params = race_of(config if isinstance(config, Config) else load_config(config))
-    return make_environment(choices), params
+    config = config if isinstance(config, Config) else load_config(config)
+    return make_environment(config), make_params(config)

@@ -10,7 +10,6 @@ bootstrap from the observation after the step, before any reset. ``step`` does n
 """
 
 import dataclasses
-from collections.abc import Callable
 from typing import Generic, TypeVar
 
 import jax
@@ -22,65 +21,97 @@ Params = TypeVar("Params")
 State = TypeVar("State")
 
 
-@dataclasses.dataclass(frozen=True)
 class Environment(Generic[Params, State]):
-    """Three pure functions of one agent, and the sizes that a network needs.
+    """The base class of environments: pure functions of one agent, and sizes for a network.
 
-    ``State`` is a pytree of arrays. Actions are unbounded; policies output about [-1, 1], and
-    ``step`` clips them to its range. Rewards, flags and observations are single-precision, bool
-    and single-precision. For SHAC, ``step`` must be differentiable.
+    An environment is static: programs are compiled for it, and those of equal environments are
+    shared. One with fields is a frozen dataclass, whose fields choose code; every number is in
+    ``params``. ``State`` is a pytree of arrays. Actions are unbounded; policies output about
+    [-1, 1], and ``step`` clips them to its range. Rewards, flags and observations are
+    single-precision, bool and single-precision. For SHAC, ``step`` must be differentiable.
     """
 
-    reset: Callable[[Params, jax.Array], State]
-    observe: Callable[[Params, State], jax.Array]  # -> (observation_size,)
-    # -> next state, reward (), terminated () bool, truncated () bool
-    step: Callable[[Params, State, jax.Array], tuple[State, jax.Array, jax.Array, jax.Array]]
     observation_size: int
     action_size: int
-    # (before, after) -> () float, parts of the task that a step completed: gates passed. None: not
-    # reported.
-    completed: Callable[[State, State], jax.Array] | None = None
+
+    def reset(self, params: Params, key: jax.Array) -> State:
+        """A state at the start of an episode."""
+        raise NotImplementedError
+
+    def observe(self, params: Params, state: State) -> jax.Array:
+        """The observation (observation_size,) of a state."""
+        raise NotImplementedError
+
+    def step(
+        self, params: Params, state: State, action: jax.Array
+    ) -> tuple[State, jax.Array, jax.Array, jax.Array]:
+        """The next state, the reward (), and whether the episode is terminated () or truncated ().
+
+        ``action`` is (action_size,); both flags are bool.
+        """
+        raise NotImplementedError
+
+    def completed(self, before: State, after: State) -> jax.Array | None:
+        """Parts () of the task that a step completed, such as gates passed; None: not reported."""
+        return None
 
 
-def vectorize(environment: Environment[Params, State]) -> Environment[Params, State]:
-    """The environment of many agents: states batched along the last axis, all else along the first.
+@dataclasses.dataclass(frozen=True)
+class Vectorized(Environment[Params, State]):
+    """An environment of many agents: states batched along the last axis, all else along the first.
 
     With the agents on the last axis, each number of a state is contiguous over them, so
-    that the compiler's loops use the vector instructions of a CPU.
-
-    ``reset`` takes an array of keys, ``step`` an array of actions; ``params`` are shared.
+    that the compiler's loops use the vector instructions of a CPU. ``reset`` takes an array of
+    keys, ``step`` an array of actions; ``params`` are shared.
 
     Raises:
         InputError: when traced, a result with a shape or type that ``Environment`` does not allow.
     """
-    environment, completed = _checked(environment), environment.completed
-    return dataclasses.replace(
-        environment,
-        reset=jax.vmap(environment.reset, in_axes=(None, 0), out_axes=-1),
-        observe=jax.vmap(environment.observe, in_axes=(None, -1)),
-        step=jax.vmap(environment.step, in_axes=(None, -1, 0), out_axes=(-1, 0, 0, 0)),
-        completed=None if completed is None else jax.vmap(completed, in_axes=-1),
-    )
 
+    one: Environment[Params, State]
 
-def _checked(environment: Environment[Params, State]) -> Environment[Params, State]:
-    """The environment, whose observation and step are checked while they are traced."""
+    @property
+    def observation_size(self) -> int:  # type: ignore[override]
+        """Size of the observation of one agent."""
+        return self.one.observation_size
 
-    def observe(params: Params, state: State) -> jax.Array:
-        seen = environment.observe(params, state)
-        check_traced("the environment's observation", seen, (environment.observation_size,))
-        return seen
+    @property
+    def action_size(self) -> int:  # type: ignore[override]
+        """Size of the action of one agent."""
+        return self.one.action_size
+
+    def reset(self, params: Params, key: jax.Array) -> State:
+        """Starts of episodes, of keys (n,)."""
+        return jax.vmap(self.one.reset, in_axes=(None, 0), out_axes=-1)(params, key)
+
+    def observe(self, params: Params, state: State) -> jax.Array:
+        """Observations (n, observation_size)."""
+
+        def checked(params: Params, state: State) -> jax.Array:
+            seen = self.one.observe(params, state)
+            check_traced("the environment's observation", seen, (self.observation_size,))
+            return seen
+
+        return jax.vmap(checked, in_axes=(None, -1))(params, state)
 
     def step(
-        params: Params, state: State, action: jax.Array
+        self, params: Params, state: State, action: jax.Array
     ) -> tuple[State, jax.Array, jax.Array, jax.Array]:
-        following, reward, terminated, truncated = environment.step(params, state, action)
-        check_traced("the environment's reward", reward, ())
-        check_traced("terminated of the environment's step", terminated, (), bool)
-        check_traced("truncated of the environment's step", truncated, (), bool)
-        return following, reward, terminated, truncated
+        """The next states, rewards (n,) and flags (n,), of actions (n, action_size)."""
 
-    return dataclasses.replace(environment, observe=observe, step=step)
+        def checked(params: Params, state: State, action: jax.Array) -> tuple:
+            following, reward, terminated, truncated = self.one.step(params, state, action)
+            check_traced("the environment's reward", reward, ())
+            check_traced("terminated of the environment's step", terminated, (), bool)
+            check_traced("truncated of the environment's step", truncated, (), bool)
+            return following, reward, terminated, truncated
+
+        batched = jax.vmap(checked, in_axes=(None, -1, 0), out_axes=(-1, 0, 0, 0))
+        return batched(params, state, action)
+
+    def completed(self, before: State, after: State) -> jax.Array | None:
+        """Parts (n,) of the task that a step completed."""
+        return jax.vmap(self.one.completed, in_axes=-1)(before, after)
 
 
 def where_done(done: jax.Array, fresh: State, state: State) -> State:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core import quaternion
+from quadjax.core.materialize import materialized
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.trigonometry import sincos
 from quadjax.core.vectors import Mat3, Vec3, apply, apply_transposed
@@ -38,6 +39,7 @@ class Attitude(struct.PyTreeNode):
     cos_yaw: jax.Array
 
 
+@materialized()
 def attitude(euler: Vec3 | Quaternion) -> Attitude | QuaternionAttitude:
     """The argument of the functions below, from roll, pitch and yaw, rad, or a quaternion."""
     if isinstance(euler, Quaternion):
@@ -57,6 +59,7 @@ def body_to_world(a: Attitude | QuaternionAttitude, vector: Vec3) -> Vec3:
     return Vec3(x, y, z)
 
 
+@materialized()
 def world_to_body(a: Attitude | QuaternionAttitude, vector: Vec3) -> Vec3:
     """Rotate a world-frame vector into the body frame."""
     if isinstance(a, QuaternionAttitude):

@@ -20,16 +20,8 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
-from quadjax.core.sharing import cached
-
 Result = TypeVar("Result")
 Tree = TypeVar("Tree")
-Caller = Callable[..., Any]  # (function, *arguments) -> function(*arguments)
-
-
-def call_directly(function: Callable[..., Result], *arguments: Any) -> Result:
-    """``function(*arguments)``: the ``Caller`` that materializes nothing."""
-    return function(*arguments)
 
 
 @jax.custom_vjp
@@ -56,15 +48,15 @@ def _backward(opaque_true: jax.Array, cotangent: Tree) -> tuple[Tree, None]:
 _conditional.defvjp(_forward, _backward)
 
 
-def materialize(tree: Tree, opaque_true: jax.Array) -> Tree:
+def materialize(tree: Tree, opaque_true: jax.Array | None) -> Tree:
     """The same values, computed once; so are their cotangents in the backward pass.
 
     Args:
         tree: any pytree of arrays.
         opaque_true: () bool that is true, traced, and the same for all of a batch, so that the
-            compiler does not know it.
+            compiler does not know it. None: the values are returned as they are.
     """
-    if jax.default_backend() != "cpu":
+    if opaque_true is None or jax.default_backend() != "cpu":
         return tree
     return _conditional(tree, opaque_true)
 
@@ -77,62 +69,73 @@ def _conditional_cotangent(tree: Tree, opaque_true: jax.Array) -> Tree:
 _conditional_cotangent.defvjp(_forward, _backward)
 
 
-def materialize_cotangent(tree: Tree, opaque_true: jax.Array) -> Tree:
+def materialize_cotangent(tree: Tree, opaque_true: jax.Array | None) -> Tree:
     """As ``materialize``, but only where gradients flow.
 
     For values that are in memory already, such as a loop's carry. Arguments as of ``materialize``.
     """
-    if jax.default_backend() != "cpu":
+    if opaque_true is None or jax.default_backend() != "cpu":
         return tree
     return _conditional_cotangent(tree, opaque_true)
 
 
-def materializing(opaque_true: jax.Array, gradients: bool = False) -> Caller:
-    """A ``Caller`` that computes ``function(*arguments)`` once, inside the conditional.
+def materialized(
+    static: int = 0, gradients: bool = False
+) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """A decorator of pure functions whose result is computed once, inside the conditional.
 
-    As ``materialize(function(*arguments), opaque_true)``, without its copy of every value. The
-    functions that it calls must be pure and close over no traced value.
+    The function takes one more keyword, ``flag``: the ``opaque_true`` of ``materialize``, or None,
+    with which it is the plain function. ``materialize(function(*arguments), flag)`` has the same
+    values, but copies each of them.
 
     Args:
-        opaque_true: as of ``materialize``.
-        gradients: where gradients flow, use ``materialize``; False: ``function(*arguments)``.
+        static: number of the function's first arguments that are static and hashable.
+        gradients: whether gradients are materialized; else they are those of the plain function.
     """
 
-    def call(function: Callable[..., Result], *arguments: Any) -> Result:
-        return _inside_conditional(function, gradients)(arguments, opaque_true)
+    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
+        once = _inside_conditional(function, static, gradients)
 
-    return call if jax.default_backend() == "cpu" else call_directly
+        @functools.wraps(function)
+        def call(*arguments: Any, flag: jax.Array | None = None) -> Result:
+            if flag is None or jax.default_backend() != "cpu":
+                return function(*arguments)
+            return once(arguments[:static], arguments[static:], flag)
+
+        return call
+
+    return decorate
 
 
-@functools.partial(cached, count=64)  # a function is traced once for all programs that call it
 def _inside_conditional(
-    function: Callable[..., Any], gradients: bool
-) -> Callable[[tuple, jax.Array], Any]:
-    """``function`` of a tuple of arguments and the flag, inside a conditional.
+    function: Callable[..., Any], static: int, gradients: bool
+) -> Callable[[tuple, tuple, jax.Array], Any]:
+    """``function`` of static and other arguments and the flag, inside a conditional.
 
     Where gradients flow it is the plain function, with ``gradients`` materialized.
     """
-    inlined = jax.jit(function, inline=True)  # keeps its trace
+    # A function is traced once for all programs that call it.
+    inlined = jax.jit(function, static_argnums=tuple(range(static)), inline=True)
 
-    def compute(arguments: tuple) -> Any:
-        return inlined(*arguments)
+    @functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
+    def once(fixed: tuple, arguments: tuple, flag: jax.Array) -> Any:
+        def compute(arguments: tuple) -> Any:
+            return inlined(*fixed, *arguments)
 
-    def zeros(arguments: tuple) -> Any:
-        shapes = jax.eval_shape(inlined, *arguments)
-        return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+        def zeros(arguments: tuple) -> Any:
+            shapes = jax.eval_shape(compute, arguments)
+            return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
 
-    @jax.custom_vjp
-    def once(arguments: tuple, opaque_true: jax.Array) -> Any:
-        return jax.lax.cond(opaque_true, compute, zeros, arguments)
+        return jax.lax.cond(flag, compute, zeros, arguments)
 
-    def forward(arguments: tuple, opaque_true: jax.Array) -> tuple[Any, Callable]:
+    def forward(fixed: tuple, arguments: tuple, flag: jax.Array) -> tuple[Any, Callable]:
         def differentiated(values: tuple) -> Any:
-            result = function(*values)
-            return materialize(result, opaque_true) if gradients else result
+            result = function(*fixed, *values)
+            return materialize(result, flag) if gradients else result
 
         return jax.vjp(differentiated, arguments)
 
-    def backward(pull: Callable, cotangent: Any) -> tuple:
+    def backward(fixed: tuple, pull: Callable, cotangent: Any) -> tuple:
         return pull(cotangent)[0], None
 
     once.defvjp(forward, backward)

@@ -12,8 +12,9 @@ from scipy.special import stdtrit  # scipy.stats takes a second to import
 
 from quadjax.core.vectors import safe_norm
 from quadjax.flights.flight import Flight
+from quadjax.race.environment import Race
 from quadjax.race.laps import OUT_OF_TIME, Laps, LapState
-from quadjax.race.types import Choices, RaceParams
+from quadjax.race.types import RaceParams
 
 NAMED = 8  # runs that ended alike, of which the numbers are named
 CONFIDENCE = 0.95  # of an interval
@@ -140,7 +141,7 @@ class Row:
 
 
 def speed_record(
-    _choices: Choices, _params: RaceParams, race: LapState, _action: jax.Array
+    _choices: Race, _params: RaceParams, race: LapState, _action: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Of each drone (runs,), for ``fly_race``: speed, m/s, target gate, and whether it is over."""
     return safe_norm(race.state.drone.velocity), race.state.target, race.over

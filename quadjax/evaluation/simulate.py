@@ -3,15 +3,13 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.sharing import cached
 from quadjax.core.vectors import Vec3
 from quadjax.evaluation.conditions import Condition, Conditions, damaged
 from quadjax.evaluation.published import LAPS, published_row
@@ -19,13 +17,14 @@ from quadjax.evaluation.rows import Row, speed_record, speeds_of
 from quadjax.flights.flight import Flight, recorded_flights
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
-from quadjax.race import environment, episode
+from quadjax.race import episode
 from quadjax.race import laps as race
+from quadjax.race.environment import Race, without_training_limits
 from quadjax.race.episode import draw_start, start_gate, with_estimate
 from quadjax.race.laps import Actor
 from quadjax.race.random_track import RandomTracks
 from quadjax.race.track import Track, gate, gate_count
-from quadjax.race.types import Choices, RaceParams, RaceState
+from quadjax.race.types import RaceParams, RaceState
 from quadjax.vehicle.protocol import Motion
 
 DISTANCE = 1.0  # m before the gate
@@ -68,16 +67,18 @@ def simulate(
         tracks = unseen_tracks(modeled, protocol.runs or 1)
         label = f"{tracks.seed} to {tracks.seed + tracks.count - 1}"
         config = config.replace(randomization=config.randomization.replace(tracks=tracks))
-    choices, params = pilot.fit_race(*race_of(config), policy, name)
+    environment, params = pilot.fit_race(*make_race(config), policy, name)
     layouts = params.tracks if protocol.tracks else None
-    ready = pilot.make_pilot(choices, params, policy, bool(protocol.deterministic))
-    params = environment.exact_rules(choices.model, params)
+    ready = pilot.make_pilot(environment, params, policy, bool(protocol.deterministic))
+    params = without_training_limits(environment.model, params)
     if condition.damage is not None:
-        choices = dataclasses.replace(choices, model=damaged(choices.model, condition.damage))
+        environment = dataclasses.replace(
+            environment, model=damaged(environment.model, condition.damage)
+        )
     if protocol.drawn:
-        choices = dataclasses.replace(choices, randomize=True)
+        environment = dataclasses.replace(environment, randomize=True)
     if params.estimator is not None and config.vehicle != modeled.vehicle:
-        onboard = race_of(modeled.replace(observation=config.observation))[1]
+        onboard = make_race(modeled.replace(observation=config.observation))[1]
         params = params.replace(estimator=onboard.estimator)
     if layouts is not None:
         params = params.replace(track=_longest(layouts))
@@ -88,12 +89,12 @@ def simulate(
     time_step = float(params.rules.time_step)
     steps, last = round(limit / time_step), race.last_gate(params.track, protocol.gates)
     key, noise = jax.random.split(jax.random.key(protocol.seed))
-    states, speeds = _starts(choices, params, key, layouts, protocol), None
+    states, speeds = _starts(environment, params, key, layouts, protocol), None
     flights = (params, ready, states, noise, last)
     few = states.step.shape[-1] * steps <= RECORDED_STATES
     trace = speed_record if protocol.speeds else few
-    flown, recorded = race.fly_race(choices, actor, count, steps, trace, *flights)
-    laps = race.laps_of(choices, flown, time_step, limit)
+    flown, recorded = race.fly_race(environment, actor, count, steps, trace, *flights)
+    laps = race.laps_of(environment, flown, time_step, limit)
     gates = (protocol.gates or 0) % gate_count(params.track)
     laps = dataclasses.replace(laps, last_gates=gates)
     if protocol.speeds:
@@ -102,8 +103,8 @@ def simulate(
     def record() -> list[Flight]:
         kept = recorded
         if trace is not True:
-            _, kept = race.fly_race(choices, actor, count, steps, True, *flights)
-        runs = recorded_flights(kept, laps, time_step, config.track.gates, choices.model)
+            _, kept = race.fly_race(environment, actor, count, steps, True, *flights)
+        runs = recorded_flights(kept, laps, time_step, config.track.gates, environment.model)
         return [run.of_drone(config.vehicle.constants) for run in runs]
 
     is_alike = (protocol.laps, protocol.start, protocol.deterministic) == ALIKE
@@ -114,20 +115,24 @@ def simulate(
 
 
 def _starts(
-    choices: Choices, params: RaceParams, key: jax.Array, tracks: Track | None, protocol: Conditions
+    environment: Race,
+    params: RaceParams,
+    key: jax.Array,
+    tracks: Track | None,
+    protocol: Conditions,
 ) -> RaceState:
     runs, start = protocol.runs or 1, protocol.start
     if tracks is not None:
 
         def hover_on(track: Track) -> RaceState:
-            return episode.hover_start(choices, params.on_track(track)).replace(track=track)
+            return episode.hover_start(environment, params.on_track(track)).replace(track=track)
 
         return jax.vmap(hover_on, out_axes=-1)(tracks)
     if start == "before_gate":
-        return starts_before_gate(choices)(params, jax.random.split(key, runs))
+        return starts_before_gate(environment, params, jax.random.split(key, runs))
     if start == "random":  # a compiled program rounds random starts differently
-        return race.starting_states(choices, params, key, runs, from_hover=False)
-    return hover_starts(choices, params, key, runs, True, start == "around")
+        return race.starting_states(environment, params, key, runs, from_hover=False)
+    return hover_starts(environment, params, key, runs, True, start == "around")
 
 
 hover_starts = jax.jit(race.starting_states, static_argnums=(0, 3, 4, 5))
@@ -146,13 +151,13 @@ def unseen_tracks(config: Config, count: int) -> RandomTracks:
     return training_tracks.replace(seed=training_tracks.seed + training_tracks.count, count=count)
 
 
-def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
+def start_before_gate(environment: Race, params: RaceParams, key: jax.Array) -> RaceState:
     """A start ``DISTANCE`` before a gate, on the line through it; constants are drawn.
 
     The reset of Ferede et al., "One Net to Rule Them All" (arXiv 2504.21586).
     """
     first, second = jax.random.split(key)
-    state, model = episode.reset(choices, params, first), choices.model
+    state, model = episode.reset(environment, params, first), environment.model
     draws = draw_start(model, second)
     target = start_gate(params.track, draws["gate"][0])
     g = gate(params.track, target)
@@ -168,10 +173,10 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
     drone = model.start(constants, motion, draws["actuators"], (low, high))
     zero = jnp.zeros((), jnp.int32)
     fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
-    return with_estimate(choices, params, fresh)
+    return with_estimate(environment, params, fresh)
 
 
-@cached
-def starts_before_gate(choices: Choices) -> Callable[[RaceParams, jax.Array], RaceState]:
+@functools.partial(jax.jit, static_argnums=0)
+def starts_before_gate(environment: Race, params: RaceParams, keys: jax.Array) -> RaceState:
     """``start_before_gate`` for each key (n,), batched along the last axis."""
-    return jax.jit(jax.vmap(functools.partial(start_before_gate, choices), (None, 0), -1))
+    return jax.vmap(functools.partial(start_before_gate, environment), (None, 0), -1)(params, keys)

@@ -130,7 +130,7 @@ def convert_policy(
     """
     network = convert(policy, track_ranges(policy.layout, race.params.track) | options.ranges)
     proof = prove(network, policy)
-    race_tables = make_tables(network.box, policy, race.choices, race.params)
+    race_tables = make_tables(network.box, policy, race.environment, race.params)
     vehicle, observed = race.params.vehicle, observed_fields(race_tables)
     target = target_of(options.target, policy.vehicle)
     if target.glue == "paparazzi" and observed & {*DISTURBANCES, HIGHEST_RPM}:

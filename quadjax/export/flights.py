@@ -74,13 +74,13 @@ def _fly(
 ) -> tuple[Laps, Trace | None]:
     options = {"from_hover": False} | options
     key = jax.random.key(seed)
-    return fly_laps(race.choices, race.params, actor, race.pilot, key, laps, runs, **options)
+    return fly_laps(race.environment, race.params, actor, race.pilot, key, laps, runs, **options)
 
 
 def _states(trace: Trace, race: PolicyRace, going: np.ndarray, seed: int) -> np.ndarray:
     """States (n, state_size) float32 of the steps (time, runs) that are ``going``."""
-    model = race.choices.model
-    sizes = state_sizes(race.choices.layout, model)
+    model = race.environment.model
+    sizes = state_sizes(race.environment.layout, model)
     parts: dict[str, Any] = {
         name: getattr(trace, name) for name in ("position", "velocity", "euler", "rates")
     }
@@ -89,7 +89,7 @@ def _states(trace: Trace, race: PolicyRace, going: np.ndarray, seed: int) -> np.
         q = quaternion.of_euler(Vec3(*np.moveaxis(np.asarray(trace.euler, np.float32), 1, 0)))
         parts["quaternion"] = np.stack([np.asarray(x) for x in jax.tree.leaves(q)], axis=1)
     if LAST_COMMAND in sizes:
-        low, high = command_ranges(race.choices, race.params)
+        low, high = command_ranges(race.environment, race.params)
         first = np.broadcast_to(0.5 * (low + high)[:, None], trace.command.shape[1:])
         parts[LAST_COMMAND] = np.concatenate([first[None], np.asarray(trace.command)[:-1]])
     if HIGHEST_RPM in sizes:

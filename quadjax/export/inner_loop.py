@@ -70,7 +70,7 @@ def inner_loop(policy: FixedPolicy, race: PolicyRace, target: Target) -> str | N
         if paparazzi and is_rate:
             command |= {"scale": BFP_RATE, "integer": "int32_t, INT32_RATE_FRAC"}
         commands.append(command)
-    held = LAST_ACTION in race.choices.layout
+    held = LAST_ACTION in race.environment.layout
     training, calls = 1.0 / race.time_step, call_frequency(policy) if target.calls else None
     tree: dict[str, object] = {
         "format": FORMAT,

@@ -7,16 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.assembly import make_choices, make_params
+from quadjax.config.assembly import make_environment, make_params
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.export.names import RESIDUAL_FILE
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, fit_race, make_pilot
 from quadjax.policy.race import differences, own_race
+from quadjax.race.environment import Race
 from quadjax.race.observation_config import ESTIMATED
 from quadjax.race.observations import HIGHEST_RPM
-from quadjax.race.types import Choices, RaceParams
+from quadjax.race.types import RaceParams
 from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.residual import located
 
@@ -25,7 +26,7 @@ from quadjax.vehicle.residual import located
 class PolicyRace:
     """The environment that a policy was trained in, and the policy in it."""
 
-    choices: Choices
+    environment: Race
     params: RaceParams
     pilot: Pilot  # its mean actions
     track: str
@@ -72,16 +73,16 @@ def policy_race(config: Config, policy: Policy, origin: str, name: str = "policy
                 "that it was trained with (config=CONFIG)"
             )
         config = config.at("observation.highest_rpm", ESTIMATED)  # as on board
-    choices, params = make_choices(config), make_params(config)
+    environment, params = make_environment(config), make_params(config)
     try:
-        choices, params = fit_race(choices, params, policy, name)
+        environment, params = fit_race(environment, params, policy, name)
     except InputError as error:
         raise InputError(f"{origin}: {error}") from None
-    constants = _with_limits(choices.model, params.vehicle.constants, policy)
+    constants = _with_limits(environment.model, params.vehicle.constants, policy)
     params = params.replace(vehicle=params.vehicle.replace(constants=constants), heading=None)
-    pilot = make_pilot(choices, params, policy, deterministic=True)
+    pilot = make_pilot(environment, params, policy, deterministic=True)
     track, vehicle = (Path(p.name or p.file or "").name for p in (config.track, config.vehicle))
-    return PolicyRace(choices, params, pilot, track, vehicle, origin, whole, residual or None)
+    return PolicyRace(environment, params, pilot, track, vehicle, origin, whole, residual or None)
 
 
 def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> Constants:

@@ -21,11 +21,12 @@ from quadjax.core.vectors import Vec3
 from quadjax.export.integers import ONE, Rescale
 from quadjax.export.ranges import InputBox, next_gates
 from quadjax.policy.file import Policy
+from quadjax.race.environment import Race
 from quadjax.race.layout import LAST_ACTION, Layout, ObservedField
 from quadjax.race.observation_config import NONE
 from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM
 from quadjax.race.track import Track
-from quadjax.race.types import Choices, RaceParams
+from quadjax.race.types import RaceParams
 from quadjax.vehicle.battery import LOWEST
 from quadjax.vehicle.protocol import VehicleModel
 
@@ -143,7 +144,7 @@ def state_sizes(layout: Layout, model: VehicleModel) -> dict[str, int]:
     return {name: FIELDS.get(name, (size,))[0] for name in names}
 
 
-def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RaceParams) -> RaceTables:
+def make_tables(box: InputBox, policy: Policy, environment: Race, params: RaceParams) -> RaceTables:
     """The integers of a policy's observation on a track, scaled to the box of the network's inputs.
 
     Raises:
@@ -172,7 +173,7 @@ def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RacePar
     spans = _spans(policy, box)
     tables = RaceTables(
         box=box,
-        fields=_state_fields(box, choices.model, world, spans),
+        fields=_state_fields(box, environment.model, world, spans),
         inputs=(),
         track=gates,
         next_gate=_gate_constants(box, track),

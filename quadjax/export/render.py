@@ -98,7 +98,7 @@ def call_frequency(policy: FixedPolicy) -> int:
 def glue_header(policy: FixedPolicy, race: PolicyRace) -> str:
     """``quadjax_policy.h``: what the glue of an autopilot needs of its policy."""
     track = race.params.track
-    drone = episode.hover_start(race.choices, race.params).drone
+    drone = episode.hover_start(race.environment, race.params).drone
 
     def numbers(values: Iterable[object]) -> str:
         return "{" + ", ".join(f"{float(np.asarray(x))!r}F" for x in values) + "}"

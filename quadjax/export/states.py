@@ -1,6 +1,7 @@
 """The state that the exported C observes, as the environment has it."""
 
 import dataclasses
+import functools
 from typing import Any
 
 import jax
@@ -9,23 +10,23 @@ import numpy as np
 
 from quadjax.core import quaternion
 from quadjax.core.quaternion import Quaternion
-from quadjax.core.sharing import bound
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.export.race_source import PolicyRace
 from quadjax.export.race_tables import LAST_COMMAND, state_sizes
 from quadjax.policy import pilot
 from quadjax.policy.pilot import command_ranges
-from quadjax.race import environment, episode
+from quadjax.race import episode
+from quadjax.race.environment import Race
 from quadjax.race.layout import Layout
 from quadjax.race.observations import HIGHEST_RPM
-from quadjax.race.types import Choices, Estimate, RaceParams, RaceState
+from quadjax.race.types import Estimate, RaceParams, RaceState
 from quadjax.vehicle.battery import Battery, BatteryState, battery_at_start
 from quadjax.vehicle.protocol import State, VehicleModel
 
 
-def example_state(choices: Choices, params: RaceParams) -> State:
+def example_state(environment: Race, params: RaceParams) -> State:
     """A vehicle's state as shapes."""
-    return jax.eval_shape(bound(episode.hover_start, choices), params).drone
+    return jax.eval_shape(functools.partial(episode.hover_start, environment), params).drone
 
 
 def drone_of(layout: Layout, model: VehicleModel, example: State, numbers: jax.Array) -> State:
@@ -61,15 +62,15 @@ def observe(race: PolicyRace, states: np.ndarray, targets: np.ndarray) -> np.nda
 
     They are in the scaling that the policy was trained with.
     """
-    choices, params, model = race.choices, race.params, race.choices.model
-    example, sizes = example_state(choices, params), state_sizes(choices.layout, model)
-    low, high = command_ranges(choices, params)
+    environment, params, model = race.environment, race.params, race.environment.model
+    example, sizes = example_state(environment, params), state_sizes(environment.layout, model)
+    low, high = command_ranges(environment, params)
 
     @jax.jit
     @jax.vmap
     def observed(state: jax.Array, target: jax.Array) -> jax.Array:
         zero, numbers = jnp.zeros((), jnp.int32), _by_name(sizes, state)
-        drone = drone_of(choices.layout, model, example, state)
+        drone = drone_of(environment.layout, model, example, state)
         triples = zip(numbers.get(LAST_COMMAND, []), low, high, strict=False)
         action = tuple((2.0 * x - lowest - top) / (top - lowest) for x, lowest, top in triples)
         estimate = None
@@ -79,7 +80,7 @@ def observe(race: PolicyRace, states: np.ndarray, targets: np.ndarray) -> np.nda
         if params.battery is not None and HIGHEST_RPM in sizes:
             (highest,) = numbers[HIGHEST_RPM]
             race_state = race_state.replace(battery=_battery(params.battery, highest))
-        return pilot.see(race.pilot, environment.observe(choices, params, race_state))
+        return pilot.see(race.pilot, environment.observation(params, race_state))
 
     return np.asarray(observed(states, targets))
 

@@ -16,7 +16,7 @@ from flax import struct
 
 from quadjax.config.assembly import make_race
 from quadjax.config.schema import Config
-from quadjax.core.environment import Environment, vectorize, where_done
+from quadjax.core.environment import Environment, Vectorized, where_done
 from quadjax.core.errors import InputError
 from quadjax.core.forks import refuse_forked
 from quadjax.core.precision import single_precision
@@ -92,7 +92,7 @@ def step_all(
 @functools.lru_cache(maxsize=4)
 def _programs(environment: Environment) -> tuple[Callable, Callable, Callable]:
     """Reset, observe and step of a vector; vectors of the same environment compile them once."""
-    environments = vectorize(environment)
+    environments = Vectorized(environment)
     step = jax.jit(functools.partial(step_all, environments), static_argnums=0)
     return jax.jit(environments.reset), jax.jit(environments.observe), step
 

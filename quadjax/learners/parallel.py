@@ -7,6 +7,7 @@ the same on any number, up to rounding. On a CPU there is a device of one thread
 """
 
 import contextlib
+import functools
 import os
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -18,7 +19,6 @@ import psutil
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from quadjax.core.errors import InputError
-from quadjax.core.sharing import cached
 from quadjax.learners.state import Learner, Metrics, TrainState, Update
 
 AXIS = "environments"  # name of the mesh axis over which the environments are split
@@ -158,7 +158,7 @@ def compile_options() -> dict[str, bool]:
     return {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
 
 
-@cached
+@functools.lru_cache(maxsize=8)
 def repeat(update: Update, count: int) -> Update:
     """A number of updates as one function, with the metrics of each, (count,)."""
 

@@ -1,6 +1,7 @@
 """What all learners share: rollouts, targets of the value, gradient steps on minibatches."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -10,10 +11,9 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from quadjax.core.environment import Environment, vectorize, where_done
+from quadjax.core.environment import Environment, Vectorized, where_done
 from quadjax.core.gradients import Scalar
 from quadjax.core.mlp import Params
-from quadjax.core.sharing import cached
 from quadjax.core.traced import as_leaves
 from quadjax.learners.networks import ActorCritic, initial_params, mean_action, predict_value
 from quadjax.learners.parallel import AXIS, constrain
@@ -62,7 +62,7 @@ def bind(
     return Learner(*functions, as_leaves(section), section.num_envs * length)
 
 
-@cached
+@functools.lru_cache(maxsize=8)
 def _bound(
     environment: Environment,
     network: ActorCritic,
@@ -70,7 +70,7 @@ def _bound(
     update: Callable[[Task, Any, TrainState], tuple[TrainState, Metrics]],
 ) -> tuple[Callable[[Any, Any, jax.Array], TrainState], Update]:
     """``init`` and ``update`` of a learner."""
-    batched = vectorize(environment)
+    batched = Vectorized(environment)
     return (
         lambda hyper, params, key: init(Task(batched, network, params), hyper, key),
         lambda hyper, params, state: update(Task(batched, network, params), hyper, state),
@@ -131,7 +131,6 @@ def rollout(
         observation = environment.observe(params, state)
         action = mean_action(network, actor, observation) + noise
         following, reward, terminated, truncated = environment.step(params, state, action)
-        completed = environment.completed
         steps = Steps(
             observation=jax.lax.stop_gradient(observation),
             action=jax.lax.stop_gradient(action),
@@ -139,7 +138,7 @@ def rollout(
             next_value=predict_value(network, critic, environment.observe(params, following)),
             terminated=terminated,
             truncated=truncated,
-            completed=None if completed is None else completed(state, following),
+            completed=environment.completed(state, following),
         )
         return where_done(terminated | truncated, fresh, following), steps
 

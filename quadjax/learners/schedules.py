@@ -8,6 +8,7 @@ traced: other numbers for the same leaves do not trigger recompilation.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal, NoReturn
 
@@ -18,7 +19,6 @@ from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.core.sections import LARGEST, Field, Section
-from quadjax.core.sharing import cached
 from quadjax.learners.loop import Plan
 from quadjax.learners.state import Learner, Metrics, TrainState, Update
 
@@ -183,7 +183,7 @@ def schedule_learner(
     return dataclasses.replace(learner, init=init, update=update, hyper=hyper)
 
 
-@cached
+@functools.lru_cache(maxsize=8)
 def _scheduled(
     learner_init: Callable[[Tree, Tree, jax.Array], TrainState], learner_update: Update
 ) -> tuple[Callable[[Scheduled, Tree, jax.Array], TrainState], Update]:

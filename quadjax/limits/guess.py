@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.flights.flight import SIMULATED, recorded_flights
@@ -37,14 +37,14 @@ def policy_lap(problem: Problem, config: Config, policy: Path | str) -> Trajecto
     """
     network = Policy.load(policy, config)
     warn_of_other_race(network, config, policy)
-    choices, params = race_of(config)
+    environment, params = make_race(config)
     laps = -(-len(problem.order) // len(problem.gates.position))
     count = POLICY_LAPS if problem.periodic else laps
     how: dict[str, Any] = {"laps": count, "runs": 1, "deterministic": True, "name": str(policy)}
-    result, trace = pilot.fly_policy(choices, params, network, trace=True, **how)
+    result, trace = pilot.fly_policy(environment, params, network, trace=True, **how)
     assert trace is not None
     time_step = float(params.rules.time_step)
-    (flight,) = recorded_flights(trace, result, time_step, config.track.gates, choices.model)
+    (flight,) = recorded_flights(trace, result, time_step, config.track.gates, environment.model)
     columns = [flight[name] for name in SIMULATED]
     recorded = from_flight(problem, columns, time_step)
     if not recorded:

@@ -18,11 +18,11 @@ from scipy.spatial.transform import Rotation
 from quadjax.core.errors import InputError
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.traced import with_leaves
-from quadjax.race.environment import exact_rules
+from quadjax.race.environment import Race, without_training_limits
 from quadjax.race.episode import hover_start
 from quadjax.race.rules import BENEATH
 from quadjax.race.track import Track
-from quadjax.race.types import Choices, RaceParams, RaceState
+from quadjax.race.types import RaceParams, RaceState
 from quadjax.vehicle.protocol import State, VehicleModel
 
 POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
@@ -72,7 +72,7 @@ class Problem:
     the start of timed laps, at rest.
     """
 
-    choices: Choices  # of the race: RK4, and gates passed where the path crosses their planes
+    environment: Race  # of the race: RK4, and gates passed where the path crosses their planes
     params: RaceParams  # without training limits, in float64, with steps of 1 ms
     flight: Flight
     gates: Gates  # of the track, smaller by the radius of the drone
@@ -92,7 +92,7 @@ class Problem:
     @property
     def model(self) -> VehicleModel:
         """The vehicle model, with a quaternion."""
-        return self.choices.model
+        return self.environment.model
 
     def leeway(self, index: int, place: np.ndarray) -> float:
         """How far, m, a passage of a gate is inside what the clearance leaves; negative outside.
@@ -107,7 +107,7 @@ class Problem:
     def race_start(self) -> RaceState:
         """The start of timed laps: at rest at the track's start, or in the last gate."""
         with jax.enable_x64(True):
-            return double(jax.jit(hover_start, static_argnums=0)(self.choices, self.params))
+            return double(jax.jit(hover_start, static_argnums=0)(self.environment, self.params))
 
     @functools.cached_property
     def start(self) -> np.ndarray:
@@ -208,7 +208,7 @@ def gates_of(track: Track, radius: float = 0.0) -> Gates:
     return Gates(position, axes, half, circle)
 
 
-def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = None) -> Problem:
+def make_problem(environment: Race, params: RaceParams, flight: Flight | None = None) -> Problem:
     """The time-optimal flight of a race, a periodic lap by default; training limits are ignored.
 
     Raises:
@@ -221,10 +221,10 @@ def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = N
         raise InputError("battery: time-optimal laps do not support it, allowed: null")
     if params.track.closed and len(params.track.yaw) == 1:
         raise InputError("track.gates: a lap of one gate, allowed: two gates or more, or a course")
-    model, params = choices.model, double(exact_rules(choices.model, params))
+    model, params = environment.model, double(without_training_limits(environment.model, params))
     if math.isfinite(model.pitch_limit):
         model = model.with_options(quaternion=True)
-    choices = dataclasses.replace(choices, model=model, integrator="rk4")
+    environment = dataclasses.replace(environment, model=model, integrator="rk4")
     rules = with_leaves(params.rules, time_step=np.float64(TIME_STEP), gate_test="interpolated")
     limits = with_leaves(params.training_limits, episode_steps=np.int32(10**9))
     params = params.replace(rules=rules, training_limits=limits)
@@ -242,7 +242,7 @@ def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = N
             f"(half of its smaller side is {half:g} m)"
         )
     return Problem(
-        choices=choices,
+        environment=environment,
         params=params,
         flight=flight,
         gates=gates,

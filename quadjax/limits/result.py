@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.schema import Config, Disturbance, Randomization
 from quadjax.core.errors import InputError
 from quadjax.core.provenance import provenance
@@ -130,7 +130,7 @@ def best_known(
     steady = {"disturbance": Disturbance(), "randomization": Randomization(), "schedules": {}}
     config = config.replace(vehicle=vehicle, **steady)
     flight = dataclasses.replace(flight or Flight(), fitted_speed=vehicle.fitted_speed)
-    problem = make_problem(*race_of(config), flight)
+    problem = make_problem(*make_race(config), flight)
     trajectories = {str(path): read_guess(problem, path) for path in guesses}
     report("compiling")
     if policy is not None:
@@ -167,7 +167,7 @@ def read_guess(problem: Problem, path: Path | str) -> Trajectory:
 def save_unverified(path: Path | str, error: NotFoundError, config: Config) -> bool:
     """Write the last solution of a search that failed, for ``read_guess``, if there is one."""
     if error.flight is not None:
-        model = race_of(config)[0].model
+        model = make_race(config)[0].model
         flight = error.flight.flight("not verified", model, config.track.gates)
         save([flight], path, not_verified=error.error)
     return error.flight is not None

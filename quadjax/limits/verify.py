@@ -16,9 +16,9 @@ import numpy as np
 from quadjax.core.integrators import rk4_loop_step
 from quadjax.limits.problem import ATTITUDE, POSITION, TIME_STEP, VELOCITY, Gates, Problem
 from quadjax.limits.trajectory import Trajectory
-from quadjax.race.environment import transition
+from quadjax.race.environment import Race
 from quadjax.race.rules import terminations_of
-from quadjax.race.types import Choices, RaceParams, RaceState
+from quadjax.race.types import RaceParams, RaceState
 from quadjax.vehicle.protocol import State
 
 TIME_TOLERANCE = 0.005  # relative to the time of the solution
@@ -121,9 +121,9 @@ def passages(
     return np.array(steps) * time_step, np.array(places).reshape(-1, 3)
 
 
-@functools.partial(jax.jit, static_argnames=("choices",))
+@functools.partial(jax.jit, static_argnames=("environment",))
 def _fly(
-    choices: Choices, params: RaceParams, start: RaceState, actions: jax.Array
+    environment: Race, params: RaceParams, start: RaceState, actions: jax.Array
 ) -> tuple[jax.Array, ...]:
     """Position, velocity, body rates (steps + 1, 3), and numbers of broken rules (steps + 1,)."""
 
@@ -131,7 +131,7 @@ def _fly(
         return drone.position.array(), drone.velocity.array(), drone.rates.array()
 
     def advance(state: RaceState, action: jax.Array) -> tuple[RaceState, tuple]:
-        after, _, outcome = transition(choices, params, state, action)
+        after, _, outcome = environment.transition(params, state, action)
         return after, (*motion(after.drone), outcome.crash_code)
 
     rows, first = jax.lax.scan(advance, start, actions)[1], (*motion(start.drone), 0)
@@ -148,7 +148,7 @@ def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedb
     start = dataclasses.replace(problem.race_start, drone=problem.state(trajectory.states[0]))
     with jax.enable_x64(True):
         position, velocity, rates, crashes = map(
-            np.asarray, _fly(problem.choices, problem.params, start, actions)
+            np.asarray, _fly(problem.environment, problem.params, start, actions)
         )
     order = problem.order[: len(problem.order) - problem.flight.stops]
     times, places = passages(problem.gates, order, position, TIME_STEP, MISSED)
@@ -170,7 +170,7 @@ def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedb
         error = f"it leaves the bounds of the race by {-1e3 * margin:.1f} mm"
     elif crashes[:end].any():
         step = int(np.argmax(crashes > 0))
-        reason = list(terminations_of(problem.choices.user_rules))[crashes[step] - 1]
+        reason = list(terminations_of(problem.environment.user_rules))[crashes[step] - 1]
         error = f"{reason} at {step * TIME_STEP:.3f} s"
     elif problem.flight.stops:
         error = _at_rest(problem, path[-1], velocity[end - 1])

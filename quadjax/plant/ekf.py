@@ -32,7 +32,7 @@ import numpy as np
 from flax import struct
 
 from quadjax.core import quaternion
-from quadjax.core.materialize import materializing
+from quadjax.core.materialize import materialized
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Mat3, Vec3, apply, skew
 from quadjax.plant.sensor_config import SensorsConfig
@@ -186,13 +186,14 @@ def update(params: EkfParams, state: EkfState, measured: Measured) -> EkfState:
     )
     line = jax.tree.map(lambda xs, x: jnp.append(xs, x), state.waiting, aligned)
     sample = jax.tree.map(lambda xs: xs[0], line)
-    call = materializing(params.step > 0.0)
-    motion, covariance = call(predict, params, state.motion, state.covariance, state.last, sample)
-    motion, covariance = call(correct, params, motion, covariance, sample, measured.fix)
+    flag, known = params.step > 0.0, (state.motion, state.covariance)
+    motion, covariance = predict(params, *known, state.last, sample, flag=flag)
+    motion, covariance = correct(params, motion, covariance, sample, measured.fix, flag=flag)
     waiting = jax.tree.map(lambda xs: xs[1:], line)
     return EkfState(motion, covariance, sample, waiting, newest, state.newest)
 
 
+@materialized()
 def predict(
     params: EkfParams,
     motion: MotionEstimate,
@@ -204,12 +205,12 @@ def predict(
 
     ``motion`` is that at ``before``, ``covariance`` (15, 15) that of its errors.
     """
-    call = materializing(params.step > 0.0)
-    moved, f = call(advance, params.gravity, motion, before, after)
+    moved, f = advance(params.gravity, motion, before, after, flag=params.step > 0.0)
     grown = f @ covariance @ f.T + params.noise * (after.step / params.step)
     return moved, grown
 
 
+@materialized()
 def advance(
     gravity: jax.Array, motion: MotionEstimate, before: InertialSample, after: InertialSample
 ) -> tuple[MotionEstimate, jax.Array]:
@@ -251,6 +252,7 @@ def transition(step: jax.Array, turn: Vec3, rotation: Mat3) -> jax.Array:
     )
 
 
+@materialized()
 def correct(
     params: EkfParams, motion: MotionEstimate, covariance: jax.Array, at: InertialSample, fix: Fix
 ) -> tuple[MotionEstimate, jax.Array]:
@@ -261,8 +263,7 @@ def correct(
     volume 1, 1979, section 5.10). A number measures one error: ``P H^T`` is a row of ``P``,
     (15, 15). Rates and force of ``at``, the sample processed last, bridge the offset to the pose.
     """
-    call = materializing(params.step > 0.0)
-    innovations = call(_innovation, params, motion, at, fix)
+    innovations = _innovation(params, motion, at, fix, flag=params.step > 0.0)
     errors = jnp.zeros(15)
     for number, row in enumerate(POSE):
         column = covariance[row]
@@ -281,6 +282,7 @@ def correct(
     return corrected, 0.5 * (covariance + covariance.T)
 
 
+@materialized()
 def _innovation(
     params: EkfParams, motion: MotionEstimate, at: InertialSample, fix: Fix
 ) -> jax.Array:

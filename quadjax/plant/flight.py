@@ -9,18 +9,18 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.materialize import materializing
 from quadjax.core.vectors import Rotors
 from quadjax.plant import gusts, onboard, plant, sensors
 from quadjax.plant.onboard import OnboardParams, OnboardState, StateEstimate
 from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.policy.pilot import Pilot, fly
-from quadjax.race import environment, laps
+from quadjax.race import laps
+from quadjax.race.environment import Race, progressed
 from quadjax.race.episode import hover, no_action
 from quadjax.race.rewards import clipped_action
 from quadjax.race.rules import evaluate_rules
 from quadjax.race.track import gate, gate_count
-from quadjax.race.types import Choices, RaceParams, RaceState, Step
+from quadjax.race.types import RaceParams, RaceState, Step
 from quadjax.vehicle import motor
 from quadjax.vehicle.battery import BatteryState
 from quadjax.vehicle.rate import RateCommand
@@ -28,14 +28,14 @@ from quadjax.vehicle.rigid_body import RigidBodyState
 
 
 class Plan(struct.PyTreeNode):
-    """Flights before the start: every number, and static choices of code and sizes."""
+    """Flights before the start: every number, and static environment of code and sizes."""
 
     plant: PlantParams
     race: RaceParams
     onboard: OnboardParams
     pilot: Pilot
     charge: tuple[jax.Array, jax.Array]  # lowest and highest at the start
-    choices: Choices = struct.field(pytree_node=False)  # of the race
+    environment: Race = struct.field(pytree_node=False)  # of the race
     step: float = struct.field(pytree_node=False)  # s, of the control loop
     hold: int = struct.field(pytree_node=False)  # samples in a control step
     limit: int = struct.field(pytree_node=False)  # control steps until a flight is out of time
@@ -88,7 +88,7 @@ def begin(plan: Plan, key: jax.Array) -> Drones:
         first, rest = draws[: gusts.START_DRAWS], draws[gusts.START_DRAWS :]
         state = plant.begin(plan.plant, body, left, first)
         computers = onboard.begin(plan.onboard, plan.plant, state, rest)
-        zero, action = jnp.zeros((), jnp.int32), no_action(plan.choices, plan.race)
+        zero, action = jnp.zeros((), jnp.int32), no_action(plan.environment, plan.race)
         return RaceState(body, zero, zero, zero, None, action=action), state, computers
 
     of_noise, of_charge = jax.random.split(key)
@@ -109,14 +109,14 @@ def sample(
     """
     computers, rotors = onboard.command_rotors(plan.onboard, drones.onboard, command)
     first, rest = draws[: gusts.DRAWS], draws[gusts.DRAWS :]
-    call = materializing(plan.plant.step > 0.0)
-    state = plant.update(plan.plant, drones.plant, rotors, first, call)
+    flag = plan.plant.step > 0.0  # true, but unknown to the compiler
+    state = plant.update(plan.plant, drones.plant, rotors, first, flag)
     computers = onboard.sense(plan.onboard, plan.plant, state, computers, rotors, rest)
     before, body = drones.race.state, state.physics.body
     g = gate(plan.race.track, before.target)
-    step = Step(plan.choices.model, plan.race, before, g, body)
-    outcome = evaluate_rules(step, plan.choices.user_rules)
-    following = environment.progressed(plan.race, before, body, outcome)
+    step = Step(plan.environment.model, plan.race, before, g, body)
+    outcome = evaluate_rules(step, plan.environment.user_rules)
+    following = progressed(plan.race, before, body, outcome)
     gates = gate_count(plan.race.track)
     race = laps.count_laps(drones.race, following, outcome, plan.plant.step, gates)
     return Drones(race, state, computers), rotors
@@ -128,7 +128,7 @@ def observe(plan: Plan, drones: Drones) -> jax.Array:
     # The charge is not known on board.
     charged = BatteryState(jnp.zeros(()), drones.onboard.limit)
     state = drones.race.state.replace(drone=motion, battery=charged)
-    return environment.observe(plan.choices, plan.race, state)
+    return plan.environment.observation(plan.race, state)
 
 
 def hold(
@@ -154,7 +154,7 @@ def hold(
 def _known_motion(plan: Plan, computers: OnboardState) -> RigidBodyState:
     """The estimated state, of the race's vehicle model."""
     motion = computers.estimate.motion
-    if plan.choices.model.name != "rate":
+    if plan.environment.model.name != "rate":
         return motion
     thrust = computers.inner.thrust
     return RigidBodyState(motion.position, motion.velocity, motion.euler, motion.rates, thrust)
@@ -177,9 +177,7 @@ def advance(plan: Plan, steps: int, drones: Drones, key: jax.Array) -> tuple[Dro
         The drones, and the frames of the recorded runs: time first, runs last.
     """
     act = jax.vmap(fly, in_axes=(None, 0, 0))
-    command_of = jax.vmap(
-        functools.partial(environment.command, plan.choices), in_axes=(None, 0), out_axes=-1
-    )
+    command_of = jax.vmap(plan.environment.command, in_axes=(None, 0), out_axes=-1)
 
     def control(drones: Drones, key: jax.Array) -> tuple[Drones, Frame]:
         of_policy, of_plant = jax.random.split(key)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.assembly import make_vehicle, race_of
+from quadjax.config.assembly import make_race, make_vehicle
 from quadjax.config.schema import Config, Vehicle
 from quadjax.core.errors import InputError
 from quadjax.core.precision import single_precision
@@ -24,7 +24,7 @@ from quadjax.policy.file import Policy
 from quadjax.policy.pilot import fit_race, make_pilot
 from quadjax.policy.race import own_race, race_of_policy, warn_of_other_race
 from quadjax.race import laps
-from quadjax.race.environment import exact_rules
+from quadjax.race.environment import without_training_limits
 from quadjax.race.laps import Laps, time_limit
 from quadjax.race.layout import LAST_ACTION, Layout
 from quadjax.race.track import GateSection
@@ -78,8 +78,8 @@ def plan_race(
             read.
     """
     assert runs % drones == 0, (runs, drones)
-    choices, params = fit_race(*race_of(race_config(config, policy)), policy, name)
-    params = exact_rules(choices.model, params)
+    environment, params = fit_race(*make_race(race_config(config, policy)), policy, name)
+    params = without_training_limits(environment.model, params)
     check_drone(plant, config.vehicle)
     model = make_vehicle(config.replace(vehicle=config.vehicle.with_model("motor")))
     first_limit = None if params.battery is None else middle_limit(params.battery)
@@ -98,9 +98,9 @@ def plan_race(
         plant=own,
         race=params,
         onboard=onboard,
-        pilot=make_pilot(choices, params, policy, deterministic),
+        pilot=make_pilot(environment, params, policy, deterministic),
         charge=(jnp.float32(low), jnp.float32(high)),
-        choices=choices,
+        environment=environment,
         step=1.0 / plant.control_rate,
         hold=round(plant.sample_rate / plant.control_rate),
         limit=round(time_limit(params.track, lap_count) * plant.control_rate),
@@ -224,7 +224,7 @@ def fly_plan(
     Raises:
         InputError: see ``check_steps``.
     """
-    check_steps(plan.choices.layout, float(plan.race.rules.time_step), plan.step)
+    check_steps(plan.environment.layout, float(plan.race.rules.time_step), plan.step)
     start, key = jax.random.split(jax.random.key(seed))
     drones, frames = begin(plan, start), []
     chunk = max(1, round(CHUNK_SECONDS / plan.step))
@@ -236,7 +236,7 @@ def fly_plan(
             break
     joined = jax.tree.map(lambda *parts: np.concatenate(parts), *frames)
     step, limit = float(plan.plant.step), plan.limit * plan.step
-    return Flights(laps.laps_of(plan.choices, drones.race, step, limit), joined, plan.step)
+    return Flights(laps.laps_of(plan.environment, drones.race, step, limit), joined, plan.step)
 
 
 Vector = Vec3 | Quaternion | Rotors | RateCommand | tuple[jax.Array, ...]

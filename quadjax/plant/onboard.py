@@ -31,7 +31,7 @@ DRAWS = sensors.DRAWS + gusts.DRAWS
 
 
 class OnboardParams(struct.PyTreeNode):
-    """Numbers of the onboard computers, and two static choices."""
+    """Numbers of the onboard computers, and two static environment."""
 
     sensors: SensorParams
     ekf: EkfParams

@@ -14,7 +14,7 @@ from flax import struct
 from quadjax.core.errors import InputError
 from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body, wrap_angle
 from quadjax.core.integrators import rk4_step
-from quadjax.core.materialize import Caller, call_directly
+from quadjax.core.materialize import materialized
 from quadjax.core.resources import CONFIGS
 from quadjax.core.traced import as_leaves
 from quadjax.core.vectors import Rotors, Vec3
@@ -199,13 +199,12 @@ def forces(
     return force * light, moment + more_moment * on.airframe_moment
 
 
-def derivative(
-    params: PlantParams, physics: Physics, command: Rotors, wind: Vec3, call: Caller = call_directly
-) -> Physics:
+@materialized()
+def derivative(params: PlantParams, physics: Physics, command: Rotors, wind: Vec3) -> Physics:
     """Time derivative under four rpm commands in a wind, m/s, world; as a ``Physics``."""
     body, c = physics.body, params.vehicle.constants
-    a = call(attitude, body.euler)
-    air_velocity = call(world_to_body, a, body.velocity - wind)
+    a = attitude(body.euler)
+    air_velocity = world_to_body(a, body.velocity - wind)
     on, motors = params.effects, params.motors
     top = highest_rpm(params.battery, body.actuators, physics.charge)
     target = effects.steady_speeds(command, on.motors * motors.shortfall, params.hover, top)
@@ -217,9 +216,10 @@ def derivative(
         physics.rpm_rate,
         target,
     )
-    force, moment = call(forces, params, physics, rpm_rate, air_velocity)
-    acceleration = body_to_world(a, force + body.force_ext)
-    turning = motor.angular_acceleration(c, moment + body.moment_ext, body.rates)
+    force, moment = forces(params, physics, rpm_rate, air_velocity)
+    moment_ext, force_ext = body.disturbance
+    acceleration = body_to_world(a, force + force_ext)
+    turning = motor.angular_acceleration(c, moment + moment_ext, body.rates)
     return Physics(
         body=RigidBodyState(
             position=body.velocity,
@@ -240,7 +240,7 @@ def update(
     state: PlantState,
     command: Rotors,
     draws: jax.Array,
-    call: Caller = call_directly,
+    flag: jax.Array | None = None,
 ) -> PlantState:
     """One drone one sample later.
 
@@ -249,7 +249,7 @@ def update(
         state: from ``begin`` or the last ``update``.
         command: rpm, clipped to the range of the motors.
         draws: (gusts.DRAWS,) standard normal numbers.
-        call: calls a function; see ``quadjax.core.materialize``.
+        flag: of ``quadjax.core.materialize``.
     """
     low, high = params.vehicle.constants.rpm_min, params.motors.rpm_max
     held = jax.tree.map(lambda u: jnp.clip(u, low, high), command)
@@ -258,7 +258,7 @@ def update(
     wind = gusts.velocity(params.gusts, state.gusts) * params.effects.gusts
 
     def slope(physics: Physics) -> Physics:
-        return call(derivative, params, physics, applied, wind)
+        return derivative(params, physics, applied, wind, flag=flag)
 
     physics = rk4_step(slope, state.physics, params.step)
     euler = physics.body.euler

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.checks import check
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config, Vehicle
@@ -73,12 +73,12 @@ def policy_of(
     if actuator_range is not None:
         config = config.at("observation.actuator_range", actuator_range)
         check(config)
-    choices, params = race_of(config)
-    network, model = read_network(path), choices.model
-    layout = choices.layout.with_spans(model, params)
+    environment, params = make_race(config)
+    network, model = read_network(path), environment.model
+    layout = environment.layout.with_spans(model, params)
     _check_sizes(path, network.layers, layout, model, config.name)
     activation = _activation(path, network, activation)
-    low, high = command_ranges(choices, params)
+    low, high = command_ranges(environment, params)
     log_std = _log_std(path, network, len(low), std)
     if motors is not None:
         order = _order(path, model, motors)

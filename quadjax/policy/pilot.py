@@ -22,11 +22,12 @@ from quadjax.core.traced import with_leaves
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams, act_sampled
 from quadjax.policy.network_files import Layers
+from quadjax.race.environment import Race
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
 from quadjax.race.layout import Layout
 from quadjax.race.observation_config import NONE, Observation
 from quadjax.race.observations import DISTURBANCES, fields_of
-from quadjax.race.types import Choices, RaceParams
+from quadjax.race.types import RaceParams
 from quadjax.vehicle.protocol import VehicleModel
 
 Ranges = tuple[np.ndarray, np.ndarray]  # lowest and highest
@@ -46,8 +47,8 @@ class Pilot(struct.PyTreeNode):
 
 
 def fit_race(
-    choices: Choices, params: RaceParams, policy: Policy, name: str = "policy"
-) -> tuple[Choices, RaceParams]:
+    environment: Race, params: RaceParams, policy: Policy, name: str = "policy"
+) -> tuple[Race, RaceParams]:
     """The race with the observation that a policy was trained with.
 
     It has the policy's fields in the policy's order, and scales the disturbances by the ranges
@@ -55,7 +56,7 @@ def fit_race(
     (ground truth, estimated or none) is that of the race.
 
     Args:
-        choices: of the race.
+        environment: of the race.
         params: of the race.
         policy: the policy.
         name: its file, for messages.
@@ -63,20 +64,21 @@ def fit_race(
     Raises:
         InputError: the policy is for another vehicle, or observes a field that the race lacks.
     """
-    if policy.vehicle != choices.model.name:
+    if policy.vehicle != environment.model.name:
         raise InputError(
             f"{name}: a policy for vehicle.model={policy.vehicle}, the race has vehicle.model="
-            f"{choices.model.name}, allowed: a race of {policy.vehicle}, such as the policy's own"
+            f"{environment.model.name}, allowed: a race of {policy.vehicle}, such as the policy's "
+            "own"
         )
-    if len(policy.command_low) != choices.model.action_size:
+    if len(policy.command_low) != environment.model.action_size:
         raise InputError(
             f"{name}: commands {len(policy.command_low)} numbers, the vehicle takes "
-            f"{choices.model.action_size}"
+            f"{environment.model.action_size}"
         )
-    layout = _arranged(choices.layout, policy.layout, choices.model, name)
+    layout = _arranged(environment.layout, policy.layout, environment.model, name)
     widths = {name: jnp.float32(value) for name, value in policy.disturbance_widths.items()}
     scale = with_leaves(params.observed_disturbance, **widths)
-    return dataclasses.replace(choices, layout=layout), params.replace(disturbance_scale=scale)
+    return dataclasses.replace(environment, layout=layout), params.replace(disturbance_scale=scale)
 
 
 def _arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) -> Layout:
@@ -95,35 +97,35 @@ def _arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) ->
     return Layout(tuple(fields[field.name] for field in wanted.fields))
 
 
-def command_ranges(choices: Choices, params: RaceParams) -> Ranges:
+def command_ranges(environment: Race, params: RaceParams) -> Ranges:
     """Lowest and highest command (actions,) of the environment's vehicle."""
-    ends = choices.model.command_range(params.vehicle.constants)
+    ends = environment.model.command_range(params.vehicle.constants)
     low, high = (np.array([float(x) for x in jax.tree.leaves(end)]) for end in ends)
     return low, high
 
 
-def make_pilot(choices: Choices, params: RaceParams, policy: Policy, deterministic: bool) -> Pilot:
+def make_pilot(environment: Race, params: RaceParams, policy: Policy, deterministic: bool) -> Pilot:
     """The policy with the conversions to and from the environment's scaling.
 
     Args:
-        choices: of the race, from ``fit_race``.
+        environment: of the race, from ``fit_race``.
         params: of the race, from ``fit_race``.
         policy: the policy.
         deterministic: fly the mean rather than samples.
     """
-    vehicle = command_ranges(choices, params)
+    vehicle = command_ranges(environment, params)
     # Rounded as the environment's numbers are: equal ranges convert by exactly one and zero.
     training_range = _rounded(policy.command_low, policy.command_high)
     act_scale, act_offset = _between(training_range, vehicle)
     see_scale, see_offset = _observation_scale(
-        choices.layout.with_spans(choices.model, params), policy.layout
+        environment.layout.with_spans(environment.model, params), policy.layout
     )
     numbers = (see_scale, see_offset, act_scale, act_offset, *vehicle, float(not deterministic))
     return Pilot(policy.on_device(), *(jnp.asarray(x, jnp.float32) for x in numbers))
 
 
 def in_scaling_of(
-    choices: Choices, params: RaceParams, policy: Policy, name: str = "policy"
+    environment: Race, params: RaceParams, policy: Policy, name: str = "policy"
 ) -> Policy:
     """A policy with other layers for the scaling of a race, in which it commands the same.
 
@@ -131,7 +133,7 @@ def in_scaling_of(
     there is a warning: the layers have no limits of their own.
 
     Args:
-        choices: of the race, which has the fields of the policy in the same order.
+        environment: of the race, which has the fields of the policy in the same order.
         params: of the race.
         policy: the policy.
         name: its file, for messages.
@@ -139,8 +141,11 @@ def in_scaling_of(
     Raises:
         InputError: another scaling for a network of the user's own.
     """
-    limits, own = command_ranges(choices, params), _rounded(policy.command_low, policy.command_high)
-    layout = choices.layout.with_spans(choices.model, params)
+    limits, own = (
+        command_ranges(environment, params),
+        _rounded(policy.command_low, policy.command_high),
+    )
+    layout = environment.layout.with_spans(environment.model, params)
     see, act = _observation_scale(layout, policy.layout, ()), _between(own, limits)
     if all(np.all(scale == 1.0) and np.all(offset == 0.0) for scale, offset in (see, act)):
         return policy
@@ -214,7 +219,7 @@ def fly(pilot: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
 
 
 def fly_policy(
-    choices: Choices,
+    environment: Race,
     params: RaceParams,
     policy: Policy,
     *,
@@ -227,7 +232,7 @@ def fly_policy(
     """Time a policy's laps, with the observation that it was trained with.
 
     Args:
-        choices: of the race.
+        environment: of the race.
         params: of the race.
         policy: the policy.
         deterministic: fly the mean rather than samples.
@@ -239,6 +244,6 @@ def fly_policy(
     Raises:
         InputError: the policy does not fit the vehicle.
     """
-    choices, params = fit_race(choices, params, policy, name)
-    pilot = make_pilot(choices, params, policy, deterministic)
-    return fly_laps(choices, params, actor, pilot, jax.random.key(seed), **flight)
+    environment, params = fit_race(environment, params, policy, name)
+    pilot = make_pilot(environment, params, policy, deterministic)
+    return fly_laps(environment, params, actor, pilot, jax.random.key(seed), **flight)

@@ -2,6 +2,7 @@
 
 import functools
 import math
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -21,10 +22,13 @@ from quadjax.race.track import (
     through_opening,
     to_opening_frame,
 )
-from quadjax.race.types import Choices, Estimate, RaceParams, RaceState
+from quadjax.race.types import Estimate, RaceParams, RaceState
 from quadjax.vehicle import estimator
 from quadjax.vehicle.battery import BatteryState, battery_at_start, draw_battery
 from quadjax.vehicle.protocol import Constants, Motion, State, VehicleModel
+
+if TYPE_CHECKING:
+    from quadjax.race.environment import Race
 
 # Streams of random numbers, folded into the key of a start; another number changes the draws. The
 # ``Draws`` of a start are of the key itself.
@@ -49,7 +53,7 @@ def draw_start(model: VehicleModel, key: jax.Array, constants: int = 0) -> Draws
     return dict(zip(sizes, jnp.split(draw(key, int(ends[-1])), ends[:-1]), strict=True))
 
 
-def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
+def reset(environment: "Race", params: RaceParams, key: jax.Array) -> RaceState:
     """A random start, on one of the random tracks where there are any, each with the same chance.
 
     Raises:
@@ -64,42 +68,44 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         index = jax.random.randint(jax.random.fold_in(key, TRACK), (), 0, count)
         track = jax.tree.map(lambda numbers: numbers[index], params.tracks)
         params = params.on_track(track)
-    size = len(jax.tree.leaves(params.vehicle.constants)) if choices.randomize else 0
-    draws = draw_start(choices.model, key, size)
-    constants = _draw_constants(choices, params, draws["constants"])
+    size = len(jax.tree.leaves(params.vehicle.constants)) if environment.randomize else 0
+    draws = draw_start(environment.model, key, size)
+    constants = _draw_constants(environment, params, draws["constants"])
     of_drone = params.vehicle.constants if constants is None else constants
-    drone, target = _draw_drone(choices.model, params, of_drone, draws, key)
+    drone, target = _draw_drone(environment.model, params, of_drone, draws, key)
     battery, clock = None, jnp.zeros((), jnp.int32)
     if params.battery is not None:
         battery = draw_battery(params.battery, drone.actuators, jax.random.fold_in(key, BATTERY))
     if ranges.stagger_clocks:
         steps = jnp.asarray(params.training_limits.episode_steps, draws["clock"].dtype)
         clock = (0.5 * (draws["clock"][0] + 1.0) * steps).astype(jnp.int32)
-    state = _begin(choices, params, drone, target, constants, battery)
+    state = _begin(environment, params, drone, target, constants, battery)
     if params.delay is not None:
         late = jax.random.uniform(jax.random.fold_in(key, DELAY), minval=-1.0)
         state = state.replace(delay=between(*params.delay, late))
     if ranges.race is not None:
         race_key, used_key = jax.random.split(jax.random.fold_in(key, RACE_START))
-        race = hover_start(choices, params, state, draw(race_key, 3))
+        race = hover_start(environment, params, state, draw(race_key, 3))
         used = functools.partial(jnp.where, jax.random.uniform(used_key) < ranges.race)
         state = jax.tree.map(used, race, state)
     return state.replace(step=clock, track=track)
 
 
-def _draw_constants(choices: Choices, params: RaceParams, numbers: jax.Array) -> Constants | None:
+def _draw_constants(
+    environment: "Race", params: RaceParams, numbers: jax.Array
+) -> Constants | None:
     """The constants of one episode, of numbers (n,) in [-1, 1]; None: those of ``params``.
 
     Those of a population are between the nominal ones (width 0) and those of a drone (width 1).
     """
-    constants, population = params.vehicle.constants, choices.population
+    constants, population = params.vehicle.constants, environment.population
     if params.mismatch is not None:
         constants = jax.tree.map(jnp.multiply, constants, params.mismatch)
-    if not choices.randomize:
+    if not environment.randomize:
         return None if params.mismatch is None else constants
     if population is None:
         return draw_constants(constants, params.randomization, numbers)
-    width, drone = params.population_width, choices.model.populations[population]
+    width, drone = params.population_width, environment.model.populations[population]
     return jax.tree.map(lambda x, y: x + width * (y - x), constants, drone(constants, numbers))
 
 
@@ -221,7 +227,7 @@ def hover(model: VehicleModel, c: Constants, track: Track, moved: jax.Array | No
 
 
 def hover_start(
-    choices: Choices,
+    environment: "Race",
     params: RaceParams,
     start: RaceState | None = None,
     moved: jax.Array | None = None,
@@ -231,7 +237,7 @@ def hover_start(
     The constants, disturbances, battery and delay are those of ``start``; without one nothing is
     drawn, the battery has the highest charge, and the delay is the middle of its range.
     """
-    model, constants = choices.model, None if start is None else start.constants
+    model, constants = environment.model, None if start is None else start.constants
     drone = hover(model, constants or params.vehicle.constants, params.track, moved)
     if start is not None and model.disturbed:
         moment, force = start.drone.disturbance
@@ -240,37 +246,37 @@ def hover_start(
     if params.battery is not None:
         charged = None if start is None else start.battery
         battery = battery_at_start(params.battery, drone.actuators, charged)
-    state = _begin(choices, params, drone, jnp.zeros((), jnp.int32), constants, battery)
+    state = _begin(environment, params, drone, jnp.zeros((), jnp.int32), constants, battery)
     return state if start is None else state.replace(delay=start.delay)
 
 
 def _begin(
-    choices: Choices,
+    environment: "Race",
     params: RaceParams,
     drone: State,
     target: jax.Array,
     constants: Constants | None,
     battery: BatteryState | None,
 ) -> RaceState:
-    zero, action = jnp.zeros((), jnp.int32), no_action(choices, params)
+    zero, action = jnp.zeros((), jnp.int32), no_action(environment, params)
     state = RaceState(drone, target, zero, zero, constants, action=action, battery=battery)
     if params.delay is not None:
         state = state.replace(delay=between(*params.delay, jnp.zeros(())))
-    return with_estimate(choices, params, state)
+    return with_estimate(environment, params, state)
 
 
-def no_action(choices: Choices, params: RaceParams) -> tuple[jax.Array, ...] | None:
+def no_action(environment: "Race", params: RaceParams) -> tuple[jax.Array, ...] | None:
     """The action before the first, where observation, reward or delay need it."""
     needed = params.reward.action_change is not None or params.delay is not None
-    if LAST_ACTION not in choices.layout and not needed:
+    if LAST_ACTION not in environment.layout and not needed:
         return None
-    return tuple(jnp.zeros(()) for _ in range(choices.model.action_size))
+    return tuple(jnp.zeros(()) for _ in range(environment.model.action_size))
 
 
-def with_estimate(choices: Choices, params: RaceParams, state: RaceState) -> RaceState:
+def with_estimate(environment: "Race", params: RaceParams, state: RaceState) -> RaceState:
     """The state with a new estimate of the disturbance, where the race has one."""
     if params.estimator is None:
         return state
-    measured = choices.model.measure(params.vehicle_of(state), state.drone)
+    measured = environment.model.measure(params.vehicle_of(state), state.drone)
     fresh = estimator.init(params.estimator, measured)
     return state.replace(estimate=Estimate(fresh, Vec3.zero(), Vec3.zero()))

@@ -13,11 +13,12 @@ from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.core.gradients import Scalar
-from quadjax.race import environment, episode
+from quadjax.race import episode
+from quadjax.race.environment import Race, without_training_limits
 from quadjax.race.lap_times import Laps
 from quadjax.race.rules import terminations_of
 from quadjax.race.track import Track, gate_count
-from quadjax.race.types import Choices, Outcome, RaceParams, RaceState
+from quadjax.race.types import Outcome, RaceParams, RaceState
 
 Actor = Callable[[Any, jax.Array, jax.Array], jax.Array]  # (policy, observation, noise)
 OUT_OF_TIME = "out of time"
@@ -34,7 +35,7 @@ class LapState(struct.PyTreeNode):
 
 
 Carry = tuple[LapState, jax.Array]  # drones and the key of the next noise
-Recorder = Callable[[Choices, RaceParams, LapState, jax.Array], Any]
+Recorder = Callable[[Race, RaceParams, LapState, jax.Array], Any]
 
 
 class Trace(struct.PyTreeNode):
@@ -52,7 +53,7 @@ class Trace(struct.PyTreeNode):
 
 
 def starting_states(
-    choices: Choices,
+    environment: Race,
     params: RaceParams,
     key: jax.Array,
     runs: int,
@@ -66,20 +67,24 @@ def starting_states(
     """
 
     def one(key: jax.Array) -> RaceState:
-        start = episode.reset(choices, params, key)
+        start = episode.reset(environment, params, key)
         if not from_hover:
             return start.replace(step=jnp.zeros((), jnp.int32))
         moved = episode.draw(jax.random.fold_in(key, episode.AROUND_HOVER), 3) if around else None
-        return episode.hover_start(choices, params, start, moved)
+        return episode.hover_start(environment, params, start, moved)
 
     return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
 
 
 def advance(
-    choices: Choices, params: RaceParams, race: LapState, action: jax.Array, last: int | None = None
+    environment: Race,
+    params: RaceParams,
+    race: LapState,
+    action: jax.Array,
+    last: int | None = None,
 ) -> LapState:
     """One step of one drone; see ``count_laps``."""
-    following, _, outcome = environment.transition(choices, params, race.state, action)
+    following, _, outcome = environment.transition(params, race.state, action)
     gates = gate_count(params.track)
     return count_laps(race, following, outcome, params.rules.time_step, gates, last)
 
@@ -121,9 +126,11 @@ def begin(state: RaceState, laps: int) -> LapState:
     return LapState(state, jnp.zeros((laps, runs)), *none)
 
 
-@functools.partial(jax.jit, static_argnames=("choices", "actor", "laps", "steps", "trace", "last"))
+@functools.partial(
+    jax.jit, static_argnames=("environment", "actor", "laps", "steps", "trace", "last")
+)
 def fly_race(
-    choices: Choices,
+    environment: Race,
     actor: Actor,
     laps: int,
     steps: int,
@@ -139,7 +146,7 @@ def fly_race(
     A function as ``trace`` is called with the drones before each step, and returns what is recorded
     in place of a ``Trace``.
     """
-    one = stepper(choices, actor, params, policy, last)
+    one = stepper(environment, actor, params, policy, last)
     carry = (begin(state, laps), key)
     if not trace:
         _, (race, _) = jax.lax.while_loop(
@@ -152,20 +159,20 @@ def fly_race(
     def record(carry: Carry, _: None) -> tuple[Carry, Any]:
         following, action = one(carry)
         recorder = trace if callable(trace) else _trace
-        return following, recorder(choices, params, carry[0], action)
+        return following, recorder(environment, params, carry[0], action)
 
     (race, _), recorded = jax.lax.scan(record, carry, None, steps)
     return race, recorded
 
 
 def stepper(
-    choices: Choices, actor: Actor, params: RaceParams, policy: object, last: int | None = None
+    environment: Race, actor: Actor, params: RaceParams, policy: object, last: int | None = None
 ) -> Callable[[Carry], tuple[Carry, jax.Array]]:
     """One step of all drones: to the race after it, and the actions (runs, actions)."""
-    observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))
+    observe = jax.vmap(environment.observation, in_axes=(None, -1))
     act = jax.vmap(actor, in_axes=(None, 0, 0))
     step = jax.vmap(
-        lambda race, action: advance(choices, params, race, action, last),
+        lambda race, action: advance(environment, params, race, action, last),
         in_axes=(-1, 0),
         out_axes=-1,
     )
@@ -173,16 +180,16 @@ def stepper(
     def one(carry: Carry) -> tuple[Carry, jax.Array]:
         race, key = carry
         key, noise_key = jax.random.split(key)
-        noise = jax.random.normal(noise_key, (race.over.shape[-1], choices.model.action_size))
+        noise = jax.random.normal(noise_key, (race.over.shape[-1], environment.model.action_size))
         action = act(policy, observe(params, race.state), noise)
         return (step(race, action), key), action
 
     return one
 
 
-def _trace(choices: Choices, params: RaceParams, race: LapState, action: jax.Array) -> Trace:
+def _trace(environment: Race, params: RaceParams, race: LapState, action: jax.Array) -> Trace:
     drone, battery = race.state.drone, race.state.battery
-    command = jax.vmap(functools.partial(environment.command, choices, params), out_axes=-1)
+    command = jax.vmap(functools.partial(environment.command, params), out_axes=-1)
     signals = drone.position, drone.velocity, drone.angles, drone.rates, drone.actuators
     rows = (jnp.stack(jax.tree.leaves(signal)) for signal in (*signals, command(action)))
     position, velocity, euler, rates, actuators, sent = rows
@@ -192,7 +199,7 @@ def _trace(choices: Choices, params: RaceParams, race: LapState, action: jax.Arr
 
 
 def fly_laps(
-    choices: Choices,
+    environment: Race,
     params: RaceParams,
     actor: Actor,
     policy: object,
@@ -214,12 +221,14 @@ def fly_laps(
         The result, and the recorded states and commands if ``trace`` is true.
     """
     length, last = race_length(params.track, laps, gates), last_gate(params.track, gates)
-    params = environment.exact_rules(choices.model, params)
+    params = without_training_limits(environment.model, params)
     start_key, noise_key = jax.random.split(key)
-    states = starting_states(choices, params, start_key, runs, from_hover)
+    states = starting_states(environment, params, start_key, runs, from_hover)
     sizes = math.ceil(length), step_limit(params, length), trace
-    race, recorded = fly_race(choices, actor, *sizes, params, policy, states, noise_key, last)
-    result = laps_of(choices, race, float(params.rules.time_step), time_limit(params.track, length))
+    race, recorded = fly_race(environment, actor, *sizes, params, policy, states, noise_key, last)
+    result = laps_of(
+        environment, race, float(params.rules.time_step), time_limit(params.track, length)
+    )
     return dataclasses.replace(result, last_gates=(gates or 0) % gate_count(params.track)), recorded
 
 
@@ -251,12 +260,12 @@ def step_limit(params: RaceParams, laps: float) -> int:
     return round(time_limit(params.track, laps) / float(params.rules.time_step))
 
 
-def laps_of(choices: Choices, race: LapState, dt: float, limit: float) -> Laps:
+def laps_of(environment: Race, race: LapState, dt: float, limit: float) -> Laps:
     """The result of a race that is over, ``dt`` s a step, with its time limit in s."""
     ends = np.asarray(race.lap_end, np.float64).T
     completed = np.where(ends > 0, ends, np.nan)
     times = np.diff(completed, axis=1, prepend=0.0)
-    reasons = ("", *terminations_of(choices.user_rules))
+    reasons = ("", *terminations_of(environment.user_rules))
     crashes = [reasons[code] for code in np.asarray(race.crash_code)]
     for run in np.flatnonzero(~np.isfinite(completed[:, -1])):
         crashes[run] = crashes[run] or OUT_OF_TIME

@@ -11,6 +11,7 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.frames import Attitude, body_to_world, world_to_body, wrap_angle
+from quadjax.core.materialize import materialized
 from quadjax.core.sections import ORDERED, Field, Section, refuse
 from quadjax.core.trigonometry import sincos
 from quadjax.core.vectors import Vec3
@@ -220,6 +221,7 @@ def pick(table: jax.Array, index: jax.Array | int) -> jax.Array:
     return value
 
 
+@materialized(gradients=True)
 def gate(track: Track, index: jax.Array | int) -> Gate:
     """The gate at ``index`` ()."""
     names = Gate.__dataclass_fields__

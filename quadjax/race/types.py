@@ -1,8 +1,4 @@
-"""The types of a race: ``Choices``, ``RaceParams``, ``RaceState`` and ``Step``.
-
-``Choices`` are static: they choose code. The numbers of ``RaceParams`` are traced; see there for
-what it holds besides them.
-"""
+"""The types of a race: ``RaceParams``, ``RaceState``, ``Outcome`` and ``Step``."""
 
 import dataclasses
 import functools
@@ -22,30 +18,11 @@ from quadjax.vehicle.estimator import EstimatorParams, EstimatorState
 from quadjax.vehicle.protocol import Constants, State, VehicleModel, VehicleParams
 
 if TYPE_CHECKING:  # what is declared next to the functions of a step
-    from quadjax.race.layout import Layout
     from quadjax.race.rewards import Reward
     from quadjax.race.rules import Rules, TrainingLimits
 
 # A user's functions of a step, with their names.
 UserFunctions = tuple[tuple[str, Callable[["Step"], jax.Array]], ...]
-
-
-@dataclasses.dataclass(frozen=True)
-class Choices:
-    """Static settings of a race, set when the environment is made.
-
-    A user's functions are named by the config's keys ``observation.extra`` (fields of ``layout``),
-    ``reward.terms`` (``user_terms``, with their weights) and ``rules.extra`` (``user_rules``).
-    """
-
-    model: VehicleModel
-    layout: "Layout"  # of the observation
-    integrator: str = "euler"  # "euler" | "rk4"
-    randomize: bool = False  # draw new constants for every episode
-    population: str | None = None  # population of the model that the constants are drawn from
-    user_terms: UserFunctions = ()  # a user's reward terms, in addition to REWARDS
-    user_rules: UserFunctions = ()  # a user's rules, in addition to TERMINATIONS
-    report_passes: bool = False  # report the gates passed to the learner, for curricula
 
 
 class RaceParams(struct.PyTreeNode):
@@ -76,16 +53,13 @@ class RaceParams(struct.PyTreeNode):
     # that it was trained with.
     disturbance_scale: Disturbance | None = None
     observation_scale: jax.Array | None = None  # (layout.size,), in training; None: not scaled
+    # () bool that is true; see ``quadjax.core.materialize``. None: nothing is materialized.
+    opaque_true: jax.Array | None = None
 
     @property
     def observed_disturbance(self) -> Disturbance:
         """Half-widths that scale the observed disturbances."""
         return self.disturbance if self.disturbance_scale is None else self.disturbance_scale
-
-    @property
-    def opaque_true(self) -> jax.Array:
-        """A flag that is true but unknown to the compiler; see ``quadjax.core.materialize``."""
-        return jnp.asarray(self.training_limits.episode_steps) > 0
 
     def on_track(self, track: Track | None) -> "RaceParams":
         """The race on the track of one episode, if it has its own."""

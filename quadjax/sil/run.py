@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
@@ -130,7 +130,7 @@ def make_world(config: Config, policy: Policy, plant: PlantConfig | None, laps: 
         InputError: a vehicle model that the plant lacks.
     """
     if plant is None:
-        return simulator_world(*fit_race(*race_of(config), policy), laps)
+        return simulator_world(*fit_race(*make_race(config), policy), laps)
     if policy.vehicle not in ON_PLANT:
         raise InputError(
             f"a plant has no vehicle model {policy.vehicle!r}, allowed: "

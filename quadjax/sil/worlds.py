@@ -19,9 +19,10 @@ from quadjax.export.verify.build import VEHICLE
 from quadjax.plant import flight, plant
 from quadjax.plant.flight import Drones, Plan
 from quadjax.policy.pilot import command_ranges
-from quadjax.race import environment, laps
+from quadjax.race import laps
+from quadjax.race.environment import Race, without_training_limits
 from quadjax.race.laps import Laps, LapState
-from quadjax.race.types import Choices, RaceParams
+from quadjax.race.types import RaceParams
 from quadjax.sil.faults import RPM_PER_RAD_S
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.protocol import Measurement, VehicleModel
@@ -58,7 +59,7 @@ class World:
     """A simulated drone in a race."""
 
     name: str  # for the result
-    choices: Choices  # of the race
+    environment: Race  # of the race
     params: RaceParams  # of the race
     step: float  # of the control loop, s
     limit: int  # control steps, after which a race is out of time
@@ -70,7 +71,7 @@ class World:
     @property
     def model(self) -> VehicleModel:
         """Of the commands."""
-        return self.choices.model
+        return self.environment.model
 
     def constants(self) -> dict[str, float]:
         """The constants by name."""
@@ -78,7 +79,7 @@ class World:
 
     def ranges(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest command (4,), in the model's units."""
-        return command_ranges(self.choices, self.params)
+        return command_ranges(self.environment, self.params)
 
 
 def _seen(
@@ -126,9 +127,9 @@ def plant_world(plan: Plan, name: str) -> World:
 
     def result(now: Now) -> Laps:
         step, limit = float(plan.plant.step), plan.limit * plan.step
-        return laps.laps_of(plan.choices, now.state[0].race, step, limit)
+        return laps.laps_of(plan.environment, now.state[0].race, step, limit)
 
-    numbers = (plan.choices, plan.race, plan.step, plan.limit)
+    numbers = (plan.environment, plan.race, plan.step, plan.limit)
     return World(f"plant {name}", *numbers, begin, advance, result)
 
 
@@ -143,7 +144,7 @@ def _advance_plant(
     plan: Plan, drones: Drones, command: jax.Array, key: jax.Array
 ) -> tuple[Drones, jax.Array, Seen]:
     key, key_of_step = jax.random.split(key)
-    low, _ = plan.choices.model.command_range(plan.race.vehicle.constants)
+    low, _ = plan.environment.model.command_range(plan.race.vehicle.constants)
     held = jax.tree.unflatten(jax.tree.structure(low), [x[None] for x in command])
     drones, _ = flight.hold(plan, drones, held, key_of_step)
     return drones, key, _see_plant(plan, drones)
@@ -153,7 +154,7 @@ def _see_plant(plan: Plan, drones: Drones) -> Seen:
     one = jax.tree.map(lambda x: x[..., 0], drones)
     onboard, body = one.onboard, one.plant.physics.body
     now, measured = onboard.estimate.motion, onboard.estimate.measurement
-    rate_level = plan.choices.model.name == "rate"
+    rate_level = plan.environment.model.name == "rate"
     force = plant.truth_of(plan.plant, one.plant).specific_force
     actuators = -force.z if rate_level else body.actuators
     return _seen(
@@ -169,52 +170,52 @@ def _see_plant(plan: Plan, drones: Drones) -> Seen:
 # ---- simulator -----------------------------------------------------------------------------------
 
 
-def simulator_world(choices: Choices, params: RaceParams, lap_count: int) -> World:
+def simulator_world(environment: Race, params: RaceParams, lap_count: int) -> World:
     """The simulator of a race, by the exact rules of timed laps; the state is known exactly.
 
     A race begins at hover before the first gate, with drawn disturbances.
     """
-    params = environment.exact_rules(choices.model, params)
-    low, high = (np.float32(end) for end in command_ranges(choices, params))
+    params = without_training_limits(environment.model, params)
+    low, high = (np.float32(end) for end in command_ranges(environment, params))
     step = float(params.rules.time_step)
 
     def begin(seed: int) -> Now:
         key = jax.random.key(seed)
-        state, seen = _begin_in_simulator(choices, lap_count, params, key)
+        state, seen = _begin_in_simulator(environment, lap_count, params, key)
         return Now(state, *jax.device_get(seen))
 
     def advance(now: Now, command: np.ndarray) -> Now:
         action = 2.0 * (command - low) / (high - low) - np.float32(1.0)
-        state, seen = _advance_simulator(choices, params, now.state, action)
+        state, seen = _advance_simulator(environment, params, now.state, action)
         return Now(state, *jax.device_get(seen))
 
     def result(now: Now) -> Laps:
-        return laps.laps_of(choices, now.state, step, laps.time_limit(params.track, lap_count))
+        return laps.laps_of(environment, now.state, step, laps.time_limit(params.track, lap_count))
 
     limit = laps.step_limit(params, lap_count)
-    return World("simulator", choices, params, step, limit, begin, advance, result)
+    return World("simulator", environment, params, step, limit, begin, advance, result)
 
 
-@functools.partial(jax.jit, static_argnames=("choices", "lap_count"))
+@functools.partial(jax.jit, static_argnames=("environment", "lap_count"))
 def _begin_in_simulator(
-    choices: Choices, lap_count: int, params: RaceParams, key: jax.Array
+    environment: Race, lap_count: int, params: RaceParams, key: jax.Array
 ) -> tuple[LapState, Seen]:
-    state = laps.starting_states(choices, params, key, 1, from_hover=True)
+    state = laps.starting_states(environment, params, key, 1, from_hover=True)
     race = laps.begin(state, lap_count)
-    return race, _see_simulator(choices, params, race)
+    return race, _see_simulator(environment, params, race)
 
 
-@functools.partial(jax.jit, static_argnames="choices")
+@functools.partial(jax.jit, static_argnames="environment")
 def _advance_simulator(
-    choices: Choices, params: RaceParams, race: LapState, action: jax.Array
+    environment: Race, params: RaceParams, race: LapState, action: jax.Array
 ) -> tuple[LapState, Seen]:
-    one = functools.partial(laps.advance, choices, params, action=action)
+    one = functools.partial(laps.advance, environment, params, action=action)
     race = jax.vmap(one, -1, -1)(race)
-    return race, _see_simulator(choices, params, race)
+    return race, _see_simulator(environment, params, race)
 
 
-def _see_simulator(choices: Choices, params: RaceParams, race: LapState) -> Seen:
-    one, model = jax.tree.map(lambda x: x[..., 0], race), choices.model
+def _see_simulator(environment: Race, params: RaceParams, race: LapState) -> Seen:
+    one, model = jax.tree.map(lambda x: x[..., 0], race), environment.model
     drone, zero = one.state.drone, jnp.zeros(())
     disturbance = drone.disturbance if model.disturbed else (Vec3.zero(), Vec3.zero())
     if one.state.estimate is not None:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.assembly import make_choices, make_params
+from quadjax.config.assembly import make_environment, make_params
 from quadjax.config.scales import race_scales
 from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
@@ -23,7 +23,7 @@ from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
 from quadjax.policy.own_network import OwnNetwork
 from quadjax.policy.pilot import in_scaling_of
-from quadjax.race.environment import make_environment, with_critic_constants
+from quadjax.race.environment import PrivilegedRace
 from quadjax.race.types import RaceParams, RaceState
 from quadjax.vehicle.registry import base_model
 from quadjax.vehicle.residual import is_shipped, read_residual
@@ -33,8 +33,8 @@ REFERENCE_LEG, REFERENCE_TIME = 3.5, 0.43  # m and s, of the paper's track and t
 
 def training_environment(config: Config) -> Environment[RaceParams, RaceState]:
     """The race of training. Where the critic observes the drawn constants, they come last."""
-    environment, constants = make_environment(make_choices(config)), privileged_constants(config)
-    return with_critic_constants(environment, constants) if constants else environment
+    environment, constants = make_environment(config), privileged_constants(config)
+    return PrivilegedRace(environment, constants) if constants else environment
 
 
 def privileged_constants(config: Config) -> tuple[tuple[str, float], ...]:
@@ -68,7 +68,7 @@ def input_scale(config: Config) -> tuple[float, ...]:
     factors = {"m": 1.0 / length, "m/s": time / length, "rad/s": time}
     return tuple(
         factors.get(field.unit, 1.0) if field.scale is None else 1.0
-        for field in make_choices(config).layout.fields
+        for field in make_environment(config).layout.fields
         for _ in range(field.size)
     )
 
@@ -146,7 +146,7 @@ def initial_policy(config: Config) -> Policy | None:
     checks: list[tuple[str, object, object]] = [
         ("network", policy.own.module if policy.own else None, config.network.module),
         ("vehicle", policy.vehicle, base_model(config.vehicle.model).name),
-        ("observation", list(policy.layout.names), list(make_choices(config).layout.names)),
+        ("observation", list(policy.layout.names), list(make_environment(config).layout.names)),
         ("activation", policy.activation, config.network.activation),
     ]
     networks = {"hidden widths": policy.layers, "hidden widths of the value": policy.value or ()}
@@ -156,7 +156,7 @@ def initial_policy(config: Config) -> Policy | None:
     for name, value, allowed in checks:
         if value != allowed:
             raise InputError(f"{origin} has {name} {value}, the config has {allowed}")
-    return in_scaling_of(make_choices(config), make_params(config), policy, origin)
+    return in_scaling_of(make_environment(config), make_params(config), policy, origin)
 
 
 def with_policy(
@@ -238,8 +238,8 @@ def trained_policy(config: Config, params: Params, steps: int) -> Policy:
 
 def policy_of(config: Config, params: Params, source: dict[str, Any] | None = None) -> Policy:
     """A network in training as a policy."""
-    choices = make_choices(config)
-    model = choices.model
+    environment = make_environment(config)
+    model = environment.model
     constants = model.make_constants(config.vehicle.constants)
     low, high = (np.array(jax.tree.leaves(end)) for end in model.command_range(constants))
     layers, value, own = _parts_of_policy(config, jax.device_get(params))
@@ -252,7 +252,7 @@ def policy_of(config: Config, params: Params, source: dict[str, Any] | None = No
         noise_on=config.learner.noise_on,
         command_low=low,
         command_high=high,
-        layout=choices.layout.with_spans(model, make_params(config)),
+        layout=environment.layout.with_spans(model, make_params(config)),
         source=source or {},
         value=value,
         config=config.model_dump(mode="json", by_alias=True),

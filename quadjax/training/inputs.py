@@ -3,12 +3,11 @@
 import jax
 import jax.numpy as jnp
 
-from quadjax.config.assembly import make_choices
+from quadjax.config.assembly import make_environment
 from quadjax.config.schema import Config
 from quadjax.core.errors import USER_ERRORS, InputError, user_error
 from quadjax.learners.parallel import repeat
 from quadjax.learners.state import Learner, TrainState
-from quadjax.race.environment import make_environment
 from quadjax.race.types import RaceParams
 from quadjax.vehicle.residual import adds_nothing
 
@@ -38,7 +37,7 @@ def check_functions(config: Config, params: RaceParams) -> None:
 
 def trace_race(config: Config, params: RaceParams) -> None:
     """Trace a reset, an observation and a step of a training."""
-    environment = make_environment(make_choices(config))
+    environment = make_environment(config)
     state = jax.eval_shape(environment.reset, params, jax.random.key(0))
     jax.eval_shape(environment.observe, params, state)
     jax.eval_shape(environment.step, params, state, jnp.zeros(environment.action_size))

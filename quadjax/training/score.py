@@ -8,15 +8,15 @@ from collections.abc import Callable, Iterable
 import jax
 import jax.numpy as jnp
 
-from quadjax.config.assembly import make_choices
+from quadjax.config.assembly import make_environment
 from quadjax.config.schema import Config
 from quadjax.core.mlp import Params
 from quadjax.policy.inference import act_deterministic, act_sampled
-from quadjax.race import environment
 from quadjax.race import laps as flights
+from quadjax.race.environment import Race, without_training_limits
 from quadjax.race.laps import OUT_OF_TIME, Laps, fly_laps
 from quadjax.race.rules import TERMINATIONS
-from quadjax.race.types import Choices, RaceParams
+from quadjax.race.types import RaceParams
 from quadjax.training.build import network_policy
 
 FEW_STEPS = 4e6  # before which hardly any run completes a lap
@@ -33,36 +33,36 @@ def make_flights(config: Config, params: RaceParams) -> Callable[[Params], Laps]
     They start from hover and apply the mean action or sampled ones, or are episodes of the mean
     action from random starts (``run.score``).
     """
-    choices, runs, race = make_choices(config), score_runs(config), config.evaluate
+    environment, runs, race = make_environment(config), score_runs(config), config.evaluate
     act = act_sampled if config.run.score == "sampled" else act_deterministic
 
     def fly(networks: Params) -> Laps:
         local = jax.device_put(jax.device_get(networks), jax.local_devices()[0])
         policy, key = network_policy(config, local), jax.random.key(0)
         if config.run.score == "reward":
-            return _episodes(choices, params, policy, runs)
-        return fly_laps(choices, params, act, policy, key, race.laps, runs, gates=race.gates)[0]
+            return _episodes(environment, params, policy, runs)
+        return fly_laps(environment, params, act, policy, key, race.laps, runs, gates=race.gates)[0]
 
     return fly
 
 
-def _episodes(choices: Choices, params: RaceParams, policy: object, runs: int) -> Laps:
+def _episodes(environment: Race, params: RaceParams, policy: object, runs: int) -> Laps:
     """Episodes of the mean action from random starts, until a crash or ``episode_steps``."""
-    params, key = environment.exact_rules(choices.model, params), jax.random.key(0)
-    states = flights.starting_states(choices, params, key, runs, from_hover=False)
+    params, key = without_training_limits(environment.model, params), jax.random.key(0)
+    states = flights.starting_states(environment, params, key, runs, from_hover=False)
     steps, dt = int(params.training_limits.episode_steps), float(params.rules.time_step)
     sizes = steps if params.track.closed else 1, steps, _rewards  # laps: more than there are
     start = params, policy, states, key
-    flown, rewards = flights.fly_race(choices, act_deterministic, *sizes, *start)
-    laps = flights.laps_of(choices, flown, dt, steps * dt)
+    flown, rewards = flights.fly_race(environment, act_deterministic, *sizes, *start)
+    laps = flights.laps_of(environment, flown, dt, steps * dt)
     return dataclasses.replace(laps, reward=float(rewards.sum(axis=0).mean()))
 
 
 def _rewards(
-    choices: Choices, params: RaceParams, flown: flights.LapState, action: jax.Array
+    environment: Race, params: RaceParams, flown: flights.LapState, action: jax.Array
 ) -> jax.Array:
     """The reward (runs,) of the next step; 0 after the end of an episode."""
-    step = jax.vmap(lambda *x: environment.transition(choices, params, *x)[1], in_axes=(-1, 0))
+    step = jax.vmap(lambda *x: environment.transition(params, *x)[1], in_axes=(-1, 0))
     return jnp.where(flown.over, 0.0, step(flown.state, action))
 
 
@@ -75,7 +75,7 @@ def score_runs(config: Config) -> int:
     disturbed = any(value > 0 for value in config.disturbance.half_widths.values())
     charge = (1.0, 1.0) if config.battery is None else config.battery.charge
     sampled = config.run.score == "sampled" or charge[0] < charge[1]
-    if config.run.score == "reward" or make_choices(config).randomize:
+    if config.run.score == "reward" or make_environment(config).randomize:
         return 128
     return 16 if sampled or disturbed else 1
 

@@ -18,7 +18,6 @@ from flax import struct
 
 from quadjax.core import quaternion
 from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body
-from quadjax.core.materialize import materializing
 from quadjax.core.vectors import Vec3, between
 from quadjax.vehicle.constants import constant_names, declarations, from_values
 from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
@@ -185,8 +184,8 @@ class VehicleModel:
     def derivative(self, params: VehicleParams, state: State, command: Command) -> State:
         """The time derivative of a state under a command, as a state."""
         c, actuators = params.constants, state.actuators
-        a = _once(params, attitude, state.euler)
-        velocity = _once(params, world_to_body, a, state.velocity)
+        a = attitude(state.euler, flag=params.opaque_true)
+        velocity = world_to_body(a, state.velocity, flag=params.opaque_true)
         rate = self.actuator_rate(c, actuators, command)
         body = BodyState(velocity, state.rates, actuators, rate)
         force, moment = self.force_moment(params, body)
@@ -297,10 +296,3 @@ class VehicleModel:
     def action_size(self) -> int:
         """Number of scalars of a command."""
         return sum(signal.size for signal in self.commands)
-
-
-def _once(params: VehicleParams, function: Callable[..., Any], *arguments: Any) -> Any:
-    """``function(*arguments)``, with its values computed once where ``opaque_true`` is given."""
-    if params.opaque_true is None:
-        return function(*arguments)
-    return materializing(params.opaque_true)(function, *arguments)

@@ -6,14 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.core.materialize import (
-    call_directly,
-    materialize,
-    materialize_cotangent,
-    materializing,
-)
-from quadjax.core.sharing import bound
-from quadjax.race.track import gate
+from quadjax.core.materialize import materialize, materialize_cotangent, materialized
 
 TREE = {"a": jnp.array([0.3, -0.7, 2.0]), "b": (jnp.array([1.0, 2.0, 3.0]),)}
 
@@ -25,9 +18,10 @@ def once(x, y):
 CALLERS = {
     "materialize": lambda function, on, *arguments: materialize(function(*arguments), on),
     "materialize_cotangent": lambda function, on, x, y: function(materialize_cotangent(x, on), y),
-    "with gradients": lambda f, flag, *x: materializing(flag, gradients=True)(f, *x),
-    "forward": lambda f, flag, *x: materializing(flag)(f, *x),
-    "call_directly": lambda function, _, *arguments: call_directly(function, *arguments),
+    "with gradients": lambda f, flag, *x: materialized(gradients=True)(f)(*x, flag=flag),
+    "forward": lambda f, flag, *x: materialized()(f)(*x, flag=flag),
+    "static": lambda f, flag, *x: materialized(static=1)(lambda g, *x: g(*x))(f, *x, flag=flag),
+    "without a flag": lambda f, _, *arguments: materialized()(f)(*arguments),
 }
 
 
@@ -57,19 +51,16 @@ def test_a_materialized_function_is_the_same_function(name):
     assert np.abs(wanted[1]).max() > 0.1
 
 
-def test_a_function_is_traced_once_for_all_programs():
+def test_a_function_is_traced_once_for_all_programs_with_equal_static_arguments():
     calls = []
 
-    def double(x):
+    @materialized(static=1)
+    def scale(factor, x):
         calls.append(x)
-        return 2.0 * x
+        return factor * x
 
-    for factor in (3.0, 5.0):
-        program = jax.jit(lambda on, x, factor=factor: factor * materializing(on)(double, x))
-        assert program(jnp.asarray(True), 1.5) == factor * 3.0
+    for last in (3.0, 5.0):
+        program = jax.jit(lambda on, x, last=last: last * scale(2.0, x, flag=on))
+        assert program(jnp.asarray(True), 1.5) == last * 3.0
     assert len(calls) == 1
-
-
-def test_functions_of_the_package_are_kept_and_those_of_a_user_are_not():
-    assert bound(gate, 1) is bound(gate, 1)
-    assert bound(once, 1) is not bound(once, 1)
+    assert jax.jit(lambda on, x: scale(4.0, x, flag=on))(jnp.asarray(True), 1.5) == 6.0

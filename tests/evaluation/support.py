@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.assembly import make_choices, make_params
+from quadjax.config.assembly import make_environment, make_params
 from quadjax.config.loading import load_config
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
@@ -32,7 +32,7 @@ def flights(*totals: float, laps: int = 2, before: int = 0, reason: str = "hit a
 
 def rate_race(*overrides: str):
     config = load_config(BLANK, ["vehicle.model=rate", *overrides])
-    return config, make_choices(config), make_params(config)
+    return config, make_environment(config), make_params(config)
 
 
 def script(speed: float = 2.5, offset: float = 0.0, thrust: float = 1.0, pitch_rate: float = 0.0):

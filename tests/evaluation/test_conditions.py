@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import quadjax
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import preset_names
@@ -164,9 +164,9 @@ def test_without_damage_it_is_the_model_and_other_models_have_none():
 
 
 def test_flights_start_before_the_gates():
-    choices, params = race_of(load_config(BLANK, ["randomization.all=0.2"]))
+    environment, params = make_race(load_config(BLANK, ["randomization.all=0.2"]))
     keys = jax.random.split(jax.random.key(0), 400)
-    one = jax.vmap(lambda key: start_before_gate(choices, params, key))
+    one = jax.vmap(lambda key: start_before_gate(environment, params, key))
     state = jax.tree.map(np.asarray, jax.jit(one)(keys))
     drone = state.drone
     place = np.stack([drone.position.x, drone.position.y, drone.position.z], 1)
@@ -186,14 +186,15 @@ def test_flights_start_before_the_gates():
 
 @pytest.mark.slow
 def test_the_speeds_of_a_race_are_those_of_its_flight():
-    _, choices, params = rate_race()
-    states = starting_states(choices, params, jax.random.key(0), 2, True, around=True)
+    _, environment, params = rate_race()
+    states = starting_states(environment, params, jax.random.key(0), 2, True, around=True)
     key = jax.random.key(1)
     both = (True, speed_record)
     (flown, trace), (_, record) = (
-        fly_race(choices, scripted, 1, 250, what, params, script(), states, key) for what in both
+        fly_race(environment, scripted, 1, 250, what, params, script(), states, key)
+        for what in both
     )
-    to_first, highest, above = speeds_of(record, laps_of(choices, flown, 0.01, 8.0), 0.01, 2.0)
+    to_first, highest, above = speeds_of(record, laps_of(environment, flown, 0.01, 8.0), 0.01, 2.0)
     # Flights that follow on at the end of the script, and their states after each step.
     assert np.all((highest > 2.0) & (above > 0.2) & (above < 2.5))
     first = [int(np.flatnonzero(target != target[0])[0]) for target in trace.target.T]

@@ -18,9 +18,11 @@ LAPS = 2
 
 
 def fly(**wishes: float):
-    config, choices, params = rate_race()
+    config, environment, params = rate_race()
     key = jax.random.key(0)
-    return config, *fly_laps(choices, params, scripted, script(**wishes), key, LAPS, 2, trace=True)
+    return config, *fly_laps(
+        environment, params, scripted, script(**wishes), key, LAPS, 2, trace=True
+    )
 
 
 @pytest.fixture(scope="module")
@@ -52,9 +54,9 @@ def test_a_lap_ends_where_the_path_crosses_the_last_gate(flown):
 
 def test_a_race_of_some_gates_ends_within_a_lap(flown):
     _, whole, _ = flown
-    _, choices, params = rate_race()
+    _, environment, params = rate_race()
     own, key = script(), jax.random.key(0)
-    laps, _ = fly_laps(choices, params, scripted, own, key, runs=2, gates=5)
+    laps, _ = fly_laps(environment, params, scripted, own, key, runs=2, gates=5)
     assert laps.finished == 2 and laps.lap_times.shape == (2, 2) and laps.last_gates == 1
     np.testing.assert_array_equal(laps.lap_times[:, 0], whole.lap_times[:, 0])
     assert np.all(laps.lap_times[:, 1] < 0.5 * whole.lap_times[:, 1])

@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.policy import pilot
 from quadjax.policy.inference import mean_action
-from quadjax.race import environment, episode
+from quadjax.race import episode
 from quadjax.race.layout import Layout
 from quadjax.race.observation_config import Observation
 from quadjax.training.build import initial_policy
@@ -23,9 +23,9 @@ WIDE = {"command_low": np.full(4, 2000.0), "command_high": np.full(4, 12000.0)}
 
 def make(policy, *overrides: str):
     config = load_config(BLANK, overrides)
-    choices, params = pilot.fit_race(*race_of(config), policy)
-    ready = pilot.make_pilot(choices, params, policy, True)
-    return choices, params, ready
+    environment, params = pilot.fit_race(*make_race(config), policy)
+    ready = pilot.make_pilot(environment, params, policy, True)
+    return environment, params, ready
 
 
 def test_equal_ranges_change_no_bit():
@@ -36,7 +36,7 @@ def test_equal_ranges_change_no_bit():
 
 def test_the_policy_commands_what_its_file_says():
     policy = random_policy(**WIDE)
-    choices, params, ready = make(policy, "vehicle.constants.rpm_max=11500.0")
+    environment, params, ready = make(policy, "vehicle.constants.rpm_max=11500.0")
     random = np.random.default_rng(1)
     noise = jnp.zeros(4)
     for _ in range(5):
@@ -47,7 +47,7 @@ def test_the_policy_commands_what_its_file_says():
         shown[12:16] = 2 * (rpm - 3000) / 8500 - 1
         own[12:16] = 2 * (rpm - 2000) / 10000 - 1
         action = pilot.fly(ready, jnp.asarray(shown, jnp.float32), noise)
-        given = jax.tree.leaves(environment.command(choices, params, action))
+        given = jax.tree.leaves(environment.command(params, action))
         mean = np.clip(mean_action(policy.on_device(), jnp.asarray(own, jnp.float32)), -1, 1)
         wanted = np.clip(2000 + 5000 * (np.asarray(mean) + 1), 3000, 11500)
         np.testing.assert_allclose(given, wanted, atol=0.5)
@@ -58,11 +58,11 @@ def test_disturbances_are_seen_in_the_policys_scale():
     widths = {"moment_x": 0.02, "moment_y": 0.02, "moment_z": 0.0, "force_z": 1.0}
     policy = random_policy(widths=widths)
     for overrides in ([], ["disturbance.moment_x=0.04", "disturbance.moment_z=0.01"]):
-        choices, params, _ = make(policy, *overrides)
-        state = episode.hover_start(choices, params)
+        environment, params, _ = make(policy, *overrides)
+        state = episode.hover_start(environment, params)
         moment = Vec3.of(jnp.array([0.04, -0.01, 0.005]))
         met = state.drone.replace(moment_ext=moment, force_ext=moment.replace(z=jnp.array(-0.5)))
-        observed = environment.observe(choices, params, state.replace(drone=met))
+        observed = environment.observation(params, state.replace(drone=met))
         np.testing.assert_allclose(observed[20:], [2.0, -0.5, 0.0, -0.5], rtol=1e-6)
     _, params, _ = make(random_policy(), "disturbance.moment_x=0.04")  # a policy without widths
     scale = params.observed_disturbance
@@ -71,11 +71,11 @@ def test_disturbances_are_seen_in_the_policys_scale():
 
 def test_the_observation_is_made_as_the_policy_was_trained():
     observed = Observation(wrap_next_yaw=False, disturbance="none")
-    choices, params, _ = make(random_policy(observed=observed))
+    environment, params, _ = make(random_policy(observed=observed))
     # The source of the disturbance is the race's choice: it is what a drone can measure.
-    assert choices.layout["moment_ext"].source == "ground_truth"
-    state = episode.hover_start(choices, params).replace(target=jnp.int32(3))
-    shown = environment.observe(choices, params, state)[choices.layout.slice("next_yaw_unwrapped")]
+    assert environment.layout["moment_ext"].source == "ground_truth"
+    state = episode.hover_start(environment, params).replace(target=jnp.int32(3))
+    shown = environment.observation(params, state)[environment.layout.slice("next_yaw_unwrapped")]
     assert float(shown[0]) == pytest.approx(-1.5 * np.pi)
 
 
@@ -98,7 +98,7 @@ def test_what_does_not_fit_is_refused():
         (other, r"observes 'altitude' \(3\), which the race"),
     ):
         with pytest.raises(InputError, match=says):
-            pilot.fit_race(*race_of(load_config(BLANK)), unfit, "file.npz")
+            pilot.fit_race(*make_race(load_config(BLANK)), unfit, "file.npz")
 
 
 def test_a_policy_of_an_own_model_starts_a_run(tmp_path):
@@ -116,7 +116,7 @@ def test_a_policy_of_an_own_model_starts_a_run(tmp_path):
 def test_a_policy_with_its_fields_in_another_order_flies_the_same():
     """A layout is what a policy says, not where its numbers happen to be."""
     policy = random_policy(command_high=np.full(4, 12000.0))
-    choices, params, ready = make(policy)
+    environment, params, ready = make(policy)
     order = np.roll(np.arange(len(policy.layout.fields)), 3)
     fields = [policy.layout.fields[i] for i in order]
     columns = np.concatenate([np.arange(24)[policy.layout.slice(f.name)] for f in fields])
@@ -125,7 +125,7 @@ def test_a_policy_with_its_fields_in_another_order_flies_the_same():
         policy, layout=Layout(tuple(fields)), layers=((kernel[columns], bias), *policy.layers[1:])
     )
     other, other_params, other_ready = make(turned)
-    state = episode.hover_start(choices, params)
-    first = pilot.fly(ready, environment.observe(choices, params, state), jnp.zeros(4))
-    shown = environment.observe(other, other_params, state)
+    state = episode.hover_start(environment, params)
+    first = pilot.fly(ready, environment.observation(params, state), jnp.zeros(4))
+    shown = other.observation(other_params, state)
     np.testing.assert_allclose(pilot.fly(other_ready, shown, jnp.zeros(4)), first, atol=1e-6)

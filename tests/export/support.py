@@ -80,7 +80,7 @@ def random_states(policy: Policy, own: PolicyRace, count: int, seed: int = 0) ->
     """States that a race may meet, (n, state_size) float32; quaternions of length one."""
     rng, parts = np.random.default_rng(seed), []
     low, high = policy.command_low, policy.command_high
-    for name, size in state_sizes(own.choices.layout, own.choices.model).items():
+    for name, size in state_sizes(own.environment.layout, own.environment.model).items():
         part = rng.uniform(-1.0, 1.0, (count, size)) * SPREADS.get(name, 0.01)
         if name == "quaternion":
             part = rng.normal(0, 1, (count, 4))
@@ -103,9 +103,9 @@ def random_targets(own: PolicyRace, count: int) -> np.ndarray:
 def random_rollouts(own: PolicyRace, velocity: float = 1.0) -> flights.Rollouts:
     """Rows in place of those of 32 flights, of which none finished a lap."""
     rng, count = np.random.default_rng(0), 50
-    size = sum(state_sizes(own.choices.layout, own.choices.model).values())
-    rows = rng.uniform(-0.2, 0.2, (count, own.choices.layout.size)).astype(np.float32)
-    rows[0, own.choices.layout.slice("velocity")] = velocity
+    size = sum(state_sizes(own.environment.layout, own.environment.model).values())
+    rows = rng.uniform(-0.2, 0.2, (count, own.environment.layout.size)).astype(np.float32)
+    rows[0, own.environment.layout.slice("velocity")] = velocity
     states = rng.uniform(-0.2, 0.2, (count, size)).astype(np.float32)
     none = Laps(np.full((32, 6), np.nan), ("out of time",) * 32, np.full(32, 10.0), 10.0)
     targets = random_targets(own, count).astype(np.int32)
@@ -124,7 +124,7 @@ def fixed_policy(
     """A policy as integers; fields of its race's tables may be changed."""
     wide = {"position": 32.0} if "position" in policy.layout else {}
     network = convert(policy, track_ranges(policy.layout, own.params.track) | wide)
-    tables = make_tables(network.box, policy, own.choices, own.params)
+    tables = make_tables(network.box, policy, own.environment, own.params)
     race = dataclasses.replace(tables, **changes)
     if states is None:
         states, targets = random_states(policy, own, 20), random_targets(own, 20)

@@ -1,7 +1,6 @@
 """The estimators on board: of the disturbance, and of the highest propeller speed of a battery."""
 
 import dataclasses
-import functools
 from fractions import Fraction
 
 import jax
@@ -16,7 +15,6 @@ from quadjax.export.integers import quantize
 from quadjax.export.network import convert
 from quadjax.export.race_source import policy_race
 from quadjax.export.verify import measurements
-from quadjax.race import environment
 from quadjax.sil.faults import RPM_PER_RAD_S
 from quadjax.sil.run import make_world
 from quadjax.vehicle.battery import limit_estimator, middle_limit
@@ -150,7 +148,7 @@ def test_the_c_on_board_observes_what_the_simulator_does(tmp_path):
     converted = converted_in(tmp_path, policy, own, "cortex-m7", 100.0)
     world = make_world(own.config, converted.policy, None, 1)
     c = loaded(tmp_path, converted, 100.0)
-    observe = jax.jit(functools.partial(environment.observe, world.choices))
+    observe = jax.jit(world.environment.observation)
     network = convert(policy, {"position": 32.0})
     now, apart, limits = begun(world), [], []
     for number in range(150):

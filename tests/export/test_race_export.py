@@ -28,7 +28,7 @@ from tests.export.support import (
 def tables_of(policy, own, ranges=None):
     """The policy as a network of integers, and its race."""
     network = convert(policy, ranges)
-    return network, make_tables(network.box, policy, own.choices, own.params)
+    return network, make_tables(network.box, policy, own.environment, own.params)
 
 
 FIELDS = ("next_yaw", "rates", "force_ext", "velocity", "next_position", "rpm", "attitude")

@@ -42,35 +42,38 @@ def probe(**numbers: float) -> Probe:
     return Probe(**{name: np.float32(value) for name, value in values.items()})
 
 
-def _reset(params: Probe, key: jax.Array) -> State:
-    drawn = jax.random.uniform(key, (2,), minval=-1.0, maxval=1.0)
-    sign = jnp.where(drawn[0] > 0, 1.0, -1.0).astype(params.move.dtype)
-    return State(sign, jnp.zeros_like(sign), jnp.where(params.move > 0, drawn[1], 0.0))
+class ProbeEnvironment(Environment[Probe, State]):
+    """The environment of all probes."""
+
+    observation_size, action_size = SIZE, 1
+
+    def reset(self, params: Probe, key: jax.Array) -> State:
+        drawn = jax.random.uniform(key, (2,), minval=-1.0, maxval=1.0)
+        sign = jnp.where(drawn[0] > 0, 1.0, -1.0).astype(params.move.dtype)
+        return State(sign, jnp.zeros_like(sign), jnp.where(params.move > 0, drawn[1], 0.0))
+
+    def observe(self, params: Probe, state: State) -> jax.Array:
+        clock = (1.0 - params.truncates) * state.clock  # the cause of truncation is not observed
+        return jnp.stack([state.sign, clock, state.place])
+
+    def step(self, params: Probe, state: State, action: jax.Array) -> tuple:
+        a = action[0]
+        place = state.place + params.move * a
+        clock = state.clock + 1.0
+        done = clock >= params.length
+        reward = (
+            params.constant
+            + params.shown * state.sign
+            + params.last * done.astype(a.dtype)
+            - params.best * (a - 0.5) ** 2
+            - params.follow * (a - 0.5 * state.sign) ** 2
+            - params.place * place**2
+        )
+        cut = params.truncates > 0
+        return State(state.sign, clock, place), reward, done & ~cut, done & cut
 
 
-def _observe(params: Probe, state: State) -> jax.Array:
-    clock = (1.0 - params.truncates) * state.clock  # the cause of truncation is not observed
-    return jnp.stack([state.sign, clock, state.place])
-
-
-def _step(params: Probe, state: State, action: jax.Array) -> tuple:
-    a = action[0]
-    place = state.place + params.move * a
-    clock = state.clock + 1.0
-    done = clock >= params.length
-    reward = (
-        params.constant
-        + params.shown * state.sign
-        + params.last * done.astype(a.dtype)
-        - params.best * (a - 0.5) ** 2
-        - params.follow * (a - 0.5 * state.sign) ** 2
-        - params.place * place**2
-    )
-    cut = params.truncates > 0
-    return State(state.sign, clock, place), reward, done & ~cut, done & cut
-
-
-ENVIRONMENT = Environment(_reset, _observe, _step, SIZE, 1)
+ENVIRONMENT = ProbeEnvironment()
 NETWORK = ActorCritic(1, (16, 16), activation="tanh")
 
 

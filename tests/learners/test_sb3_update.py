@@ -24,6 +24,23 @@ TOLERANCE = 1e-5
 FILE = Path(__file__).with_name("sb3_update.npz")  # of ``python -m tests.learners.sb3_update``
 
 
+@dataclasses.dataclass(frozen=True)
+class Still(Environment):
+    """An environment that is never simulated."""
+
+    observation_size: int
+    action_size: int
+
+    def reset(self, params, key):
+        return jnp.zeros(())
+
+    def observe(self, params, state):
+        return jnp.zeros(self.observation_size)
+
+    def step(self, params, state, action):
+        return state, jnp.zeros(()), jnp.bool_(0), jnp.bool_(0)
+
+
 @pytest.fixture(scope="module", params=["stored", pytest.param("live", marks=pytest.mark.slow)])
 def trace(request):
     if request.param == "stored":
@@ -81,14 +98,7 @@ def update(trace, monkeypatch):
     fed = rollout_of(trace, network)
     monkeypatch.setattr(ppo, "collect", lambda task, hyper, state, key: (state.environment, fed))
     size, count = trace["observation"].shape[-1], trace["actions"].shape[-1]
-    still = Environment(  # never simulated
-        reset=lambda params, key: jnp.zeros(()),
-        observe=lambda params, state: jnp.zeros(size),
-        step=lambda params, state, action: (state, jnp.zeros(()), jnp.bool_(0), jnp.bool_(0)),
-        observation_size=size,
-        action_size=count,
-    )
-    learner = section.make(still, network, 1)
+    learner = section.make(Still(size, count), network, 1)
     state = learner.init(learner.hyper, (), jax.random.key(0))
     state = dataclasses.replace(state, params=parameters(trace), key=jax.random.key(0))
     learner.update(learner.hyper, (), state)

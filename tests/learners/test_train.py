@@ -1,7 +1,6 @@
 """Training on any environment in memory: by PPO, by SHAC and by own learners."""
 
 import contextlib
-import dataclasses
 import io
 import runpy
 from pathlib import Path
@@ -18,7 +17,7 @@ from quadjax.learners.networks import ActorCritic, initial_params, mean_action
 from quadjax.learners.schedules import Schedule
 from quadjax.learners.section import LearnerSection, Network
 from quadjax.learners.state import Learner, TrainState
-from tests.learners.probes import ENVIRONMENT, observations, probe
+from tests.learners.probes import ENVIRONMENT, ProbeEnvironment, observations, probe
 from tests.learners.support import DEFAULTS
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -36,8 +35,8 @@ SCHEDULES = {
 def test_training_finds_the_best_action(name):
     """With one trace of the updates."""
     chex.clear_trace_counter()
-    rows, step = [], chex.assert_max_traces(ENVIRONMENT.step, n=1)
-    environment = dataclasses.replace(ENVIRONMENT, step=step)
+    rows, environment = [], ProbeEnvironment()
+    object.__setattr__(environment, "step", chex.assert_max_traces(environment.step, n=1))
     arguments = environment, probe(best=1.0), 40_000, 0, NETWORK, SCHEDULES[name], rows.append
     result = DEFAULTS[name].train(*arguments)
     batch = np.stack([observations(1.0), observations(-1.0)])

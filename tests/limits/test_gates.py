@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
@@ -29,7 +29,7 @@ from quadjax.limits.verify import passages  # noqa: E402
 
 
 def _problem(*overrides):
-    return make_problem(*race_of(load_config("indi +fastest", list(overrides))))
+    return make_problem(*make_race(load_config("indi +fastest", list(overrides))))
 
 
 def _track():
@@ -68,7 +68,7 @@ MARGIN = 0.01  # m
 
 @pytest.mark.parametrize("shape", ["", ", shape: circle", ", roll_deg: 45"])
 def test_a_gate_beside_the_way_is_passed_at_its_edge(shape):
-    race = race_of(load_config("indi", [GATES % shape]))
+    race = make_race(load_config("indi", [GATES % shape]))
     problem = make_problem(*race, Flight(gates=2, stops=True))
     guess, settings = from_spline(problem, 1, 8), Settings(MARGIN, smoothness=1e-3)
     arguments = Dynamics(problem), guess, settings, threading.Event(), lambda _: None
@@ -79,8 +79,8 @@ def test_a_gate_beside_the_way_is_passed_at_its_edge(shape):
 
 def test_a_body_radius_narrows_openings_bounds_and_ground():
     rules = ["rules.body_radius=0.1", "rules.gate_frame=0.2", "rules.bounds=[[-9,9],[-9,9],[-5,0]]"]
-    choices, params = race_of(load_config("indi +fastest", rules))
-    problem = make_problem(choices, params)
+    environment, params = make_race(load_config("indi +fastest", rules))
+    problem = make_problem(environment, params)
     point = gates_of(params.track)
     np.testing.assert_allclose(problem.gates.half_size, point.half_size - 0.1, atol=1e-6)
     np.testing.assert_allclose(problem.bounds, [[-8.9, -8.9, -4.9], [8.9, 8.9, -0.1]], atol=1e-6)
@@ -93,7 +93,7 @@ def test_a_body_radius_narrows_openings_bounds_and_ground():
     (0.0, 0.3, 0.2), (0.2, 0.25, 0.05), (0.2, 0.35, -0.05), (None, 0.01, 0.01), (None, 0.3, -0.28),
 ])  # fmt: skip
 def test_a_passage_is_measured_against_the_required_clearance(clearance, right, leeway):
-    race = race_of(load_config("e2e +fastest"))
+    race = make_race(load_config("e2e +fastest"))
     problem = make_problem(*race, Flight(clearance=clearance))
     ahead, side, _ = problem.gates.axes[0]
     way = np.linspace(-0.5, 0.5, 12)[:, None] * ahead + right * side

@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
@@ -23,7 +23,9 @@ from quadjax.limits.verify import verify  # noqa: E402
 
 
 def _problem(*overrides, **options):
-    return make_problem(*race_of(load_config("indi +fastest", list(overrides))), Flight(**options))
+    return make_problem(
+        *make_race(load_config("indi +fastest", list(overrides))), Flight(**options)
+    )
 
 
 def _trajectory(seconds, intervals=2):
@@ -98,7 +100,7 @@ def test_a_race_from_rest_to_rest():
 
 @pytest.mark.slow
 def test_a_lap_with_a_split_s_is_found_from_a_spline():
-    race = race_of(load_config("e2e +fastest", ["vehicle=5inch", "track=split_s"]))
+    race = make_race(load_config("e2e +fastest", ["vehicle=5inch", "track=split_s"]))
     stop = threading.Event()  # set at the first verified flight
     report = lambda text: search.best is not None and stop.set()  # noqa: E731
     search = Search(make_problem(*race, Flight(speed=40.0)), 1000, stop, report)
@@ -108,7 +110,7 @@ def test_a_lap_with_a_split_s_is_found_from_a_spline():
 
 
 def test_a_guess_closes_the_lap_and_its_thrust_is_along_the_force():
-    problem = make_problem(*race_of(load_config("e2e +fastest", ["vehicle=5inch"])))
+    problem = make_problem(*make_race(load_config("e2e +fastest", ["vehicle=5inch"])))
     guess = from_spline(problem, 1)
     quaternion = guess.states[:, ATTITUDE]
     assert abs(quaternion[0] @ quaternion[-1]) == pytest.approx(1.0, abs=1e-6)

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.limits.problem import (
@@ -31,13 +31,13 @@ RACES = {
 
 
 def _race(name):
-    return race_of(load_config(RACES[name][0], list(RACES[name][1:])))
+    return make_race(load_config(RACES[name][0], list(RACES[name][1:])))
 
 
 @pytest.mark.parametrize("name", RACES)
 def test_the_equations_agree_with_jax(name):
-    choices, params = _race(name)
-    problem, rng = make_problem(choices, params), np.random.default_rng(0)
+    environment, params = _race(name)
+    problem, rng = make_problem(environment, params), np.random.default_rng(0)
     slope, (low, high) = Dynamics(problem).slope, problem.command_range
     for _ in range(5):
         start = problem.start
@@ -52,8 +52,12 @@ def test_the_equations_agree_with_jax(name):
 
 @pytest.mark.parametrize("name", ["motor", "rate"])
 def test_a_quaternion_has_the_accelerations_of_the_race_with_euler_angles(name):
-    choices, params = _race(name)
-    problem, model, vehicle = make_problem(choices, params), choices.model, double(params.vehicle)
+    environment, params = _race(name)
+    problem, model, vehicle = (
+        make_problem(environment, params),
+        environment.model,
+        double(params.vehicle),
+    )
     vector = problem.start + 0.1 * np.random.default_rng(0).normal(size=len(problem.start))
     vector[ATTITUDE] /= np.linalg.norm(vector[ATTITUDE])
     command = 0.7 * problem.command_range[1]

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
@@ -48,7 +48,7 @@ RACES = {  # with what they observe of each motor
 def test_motors_in_another_order_command_the_same_in_every_state(race, tmp_path):
     """INDIflight numbers rear-right, front-right, rear-left, front-left."""
     fields, changes = RACES[race]
-    layout = race_of(load_config(race, changes))[0].layout
+    layout = make_race(load_config(race, changes))[0].layout
     arrays, path, out = linear((layout.size, 6, 4)), tmp_path / "a.c", tmp_path / "a.npz"
     path.write_text(c_source(arrays, std=STD, flat=False))
     options = ("--motors", 4, 2, 1, 3, "--activation", "relu", "--output", out)

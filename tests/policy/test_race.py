@@ -36,7 +36,7 @@ def races(monkeypatch):
 
     for module, name in (
         (sources, "evaluate"),
-        (assembly, "race_of"),
+        (assembly, "make_race"),
         (convert, "policy_race"),
         (race_source, "policy_race"),
     ):
@@ -118,7 +118,7 @@ def test_every_command_warns_of_another_race(tmp_path, capsys, monkeypatch):
         (convert, "policy_race"),
         (race_source, "policy_race"),
         (plant_flights, "plan_race"),
-        (guess, "race_of"),
+        (guess, "make_race"),
         (compare, "evaluate"),
     ):
         monkeypatch.setattr(module, name, stop)

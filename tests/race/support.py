@@ -11,13 +11,14 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from quadjax.config.assembly import make_choices, make_params
+from quadjax.config.assembly import make_environment, make_params
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
-from quadjax.race import environment, episode
+from quadjax.race import episode
+from quadjax.race.environment import Race
 from quadjax.race.laps import LapState, begin, count_laps
 from quadjax.race.track import Track, TrackSection, make_track
-from quadjax.race.types import Choices, Outcome, RaceParams, RaceState
+from quadjax.race.types import Outcome, RaceParams, RaceState
 from tests import reference as ref
 from tests.convert import state_of
 from tests.promotion import QUICK
@@ -31,10 +32,10 @@ def make_config(*overrides: str) -> Config:
     return load_config(BLANK, overrides)
 
 
-def make_race(*overrides: str) -> tuple[Choices, RaceParams]:
+def make_race(*overrides: str) -> tuple[Race, RaceParams]:
     config = make_config(*overrides)
     with jax.enable_x64(False):  # the same programs whatever the test's precision
-        return make_choices(config), make_params(config)
+        return make_environment(config), make_params(config)
 
 
 def track_of(
@@ -94,19 +95,19 @@ def by_rows(function: Callable, shared: int = 1, **options: object) -> Callable:
 
 
 @functools.cache
-def compiled_transition(choices: Choices) -> Callable:
-    return by_rows(functools.partial(environment.transition, choices))
+def compiled_transition(environment: Race) -> Callable:
+    return by_rows(environment.transition)
 
 
 @functools.cache
-def compiled_observe(choices: Choices) -> Callable:
-    return by_rows(functools.partial(environment.observe, choices))
+def compiled_observe(environment: Race) -> Callable:
+    return by_rows(environment.observation)
 
 
 @functools.cache
-def compiled_reset(choices: Choices) -> Callable:
+def compiled_reset(environment: Race) -> Callable:
     """States of the keys of one key, ``count`` of them."""
-    reset = jax.vmap(functools.partial(episode.reset, choices), in_axes=(None, 0))
+    reset = jax.vmap(functools.partial(episode.reset, environment), in_axes=(None, 0))
 
     @functools.partial(jax.jit, static_argnames="count", compiler_options=QUICK)
     def compiled(params: RaceParams, key: jax.Array, count: int) -> RaceState:
@@ -126,7 +127,7 @@ def first_score(
     return jax.tree.map(np.asarray, one(race_state("motor", rows, target), following, outcome))
 
 
-def hover_state(race: tuple[Choices, RaceParams]) -> RaceState:
+def hover_state(race: tuple[Race, RaceParams]) -> RaceState:
     """The start of timed laps."""
     start = functools.partial(episode.hover_start, race[0])
     return jax.tree.map(np.asarray, jax.jit(start, compiler_options=QUICK)(race[1]))
@@ -167,10 +168,10 @@ HOVER = (7497.0 - 7000.0) / 4000.0
 
 def step(race, rows, target=0, clock=0, action=HOVER, kind="motor"):
     """One step of rows of drones; with Euler a position moves by exactly dt times velocity."""
-    choices, params = race
+    environment, params = race
     actions = np.broadcast_to(np.asarray(action, np.float32), (len(rows), 4))
     state = race_state(kind, rows, target, clock)
-    return compiled_transition(choices)(params, state, actions)
+    return compiled_transition(environment)(params, state, actions)
 
 
 def through(gate: int, forward: float, right: float = 0.0, down: float = 0.0) -> np.ndarray:

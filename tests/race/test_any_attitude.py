@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from quadjax.core.vectors import Vec3
-from quadjax.race import environment
 from quadjax.race.types import RaceState
 from quadjax.vehicle.protocol import Motion
 from tests import reference as ref
@@ -27,14 +26,14 @@ ATTITUDES = np.array(
 
 def states(race, attitudes):
     """Drones in hover 1 m before the first gate, but for their attitudes and a forward speed."""
-    choices, params = race
+    environment, params = race
     gate = np.array([float(x[0]) for x in params.track.position])
     still = [np.zeros(3, np.float32)] * 4
     still[0], still[1] = np.float32(gate - [0, 1, 0]), np.float32([0, 3, 0])
 
     def one(constants, euler):
         motion = Motion(*(Vec3.of(x) for x in (still[0], still[1], euler, still[3])))
-        drone = choices.model.hover(constants, motion)
+        drone = environment.model.hover(constants, motion)
         zero = jnp.zeros((), jnp.int32)
         return RaceState(drone, zero, zero, zero, None)
 
@@ -68,14 +67,15 @@ def test_rotation_in_the_observation(vehicle):
 @pytest.mark.slow
 def test_gradient_through_the_race_at_any_attitude():
     """A step at attitudes without unique angles ends no episode; gradients are finite."""
-    choices, params = make_race(TRACK, "reward.pitch_up=1", "vehicle=5inch")
+    environment, params = make_race(TRACK, "reward.pitch_up=1", "vehicle=5inch")
     one_gate = track_of([[float(x[0]) for x in params.track.position]], [np.pi / 2])
-    race = choices, params = choices, params.replace(track=one_gate)
+    params = params.replace(track=one_gate)
+    race = environment, params
 
     def value(state, action):
-        after, reward, outcome = environment.transition(choices, params, state, action)
+        after, reward, outcome = environment.transition(params, state, action)
         both = jax.tree.map(lambda *each: jnp.stack(each), state, after)
-        seen = jax.vmap(lambda each: environment.observe(choices, params, each))(both)
+        seen = jax.vmap(lambda each: environment.observation(params, each))(both)
         return reward + jnp.sum(seen), outcome.crashed
 
     def one(drone, state, action):

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.race import environment, episode
+from quadjax.race import episode
 from tests import reference as ref
 from tests.race.support import compiled_reset, make_race
 
@@ -14,14 +14,15 @@ OVERRIDES = (f"vehicle.delay={list(RANGE)}", "start.gate=first")
 
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_a_delayed_command_acts_for_the_rest_of_the_step(kind):
-    choices, params = make_race(*OVERRIDES, f"vehicle.model={kind}")
-    state = compiled_reset(choices)(params, jax.random.key(0), 1)
+    environment, params = make_race(*OVERRIDES, f"vehicle.model={kind}")
+    state = compiled_reset(environment)(params, jax.random.key(0), 1)
     state = jax.tree.map(lambda x: x[0], state)
     before, now, late = np.array([-0.5, 0.2, 0.0, 0.7]), np.array([0.5, -1.0, 0.1, 3.0]), 0.004
     state = state.replace(action=tuple(before), delay=np.float32(late))
-    after, _, _ = environment.transition(choices, params, state, now)
+    after, _, _ = environment.transition(params, state, now)
     low, high = (
-        np.array(jax.tree.leaves(x)) for x in choices.model.command_range(params.vehicle.constants)
+        np.array(jax.tree.leaves(x))
+        for x in environment.model.command_range(params.vehicle.constants)
     )
     sent = [low + 0.5 * (high - low) * (np.clip(x, -1, 1) + 1) for x in (before, now)]
     acting = sent[1] + late / STEP * (sent[0] - sent[1])
@@ -39,15 +40,15 @@ def test_a_delayed_command_acts_for_the_rest_of_the_step(kind):
 
 
 def test_a_delay_is_drawn_for_every_episode_and_is_the_middle_of_its_range_in_timed_laps():
-    choices, params = make_race(*OVERRIDES)
-    drawn = np.asarray(compiled_reset(choices)(params, jax.random.key(1), 2000).delay)
+    environment, params = make_race(*OVERRIDES)
+    drawn = np.asarray(compiled_reset(environment)(params, jax.random.key(1), 2000).delay)
     assert RANGE[0] <= drawn.min() < 0.0021 and 0.0079 < drawn.max() <= RANGE[1]
     np.testing.assert_allclose(drawn.mean(), 0.005, atol=1e-4)
-    timed = episode.hover_start(choices, params)
+    timed = episode.hover_start(environment, params)
     np.testing.assert_allclose(timed.delay, 0.005, rtol=1e-6)
 
 
 def test_no_delay_changes_nothing():
-    choices, params = make_race("start.gate=first")
-    state = compiled_reset(choices)(params, jax.random.key(0), 1)
+    environment, params = make_race("start.gate=first")
+    state = compiled_reset(environment)(params, jax.random.key(0), 1)
     assert params.delay is None and state.delay is None and state.action is None

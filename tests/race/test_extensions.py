@@ -11,7 +11,6 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
 from quadjax.core.vectors import safe_norm
-from quadjax.race import environment
 from quadjax.race.draws import Randomization
 from quadjax.race.laps import Laps, fly_race, lap_length, starting_states, time_limit
 from quadjax.race.layout import Layout, ObservedField
@@ -50,12 +49,12 @@ def ceiling(context):
 @pytest.fixture(scope="module")
 def races():
     """The published race, and one with two terms of the reward and a rule."""
-    choices, params = make_race()
+    environment, params = make_race()
     terms = (("speed", speed), ("squared", squared_action))
-    own = dataclasses.replace(choices, user_terms=terms, user_rules=(("ceiling", ceiling),))
+    own = dataclasses.replace(environment, user_terms=terms, user_rules=(("ceiling", ceiling),))
     weights = {"speed": jnp.float32(0.5), "squared": jnp.float32(-2.0)}
     reward = with_leaves(params.reward, terms=weights)
-    return (choices, params), (own, params.replace(reward=reward))
+    return (environment, params), (own, params.replace(reward=reward))
 
 
 def test_terms_are_added_in_their_weights(races):
@@ -93,18 +92,18 @@ FIVE_COMMANDS = FiveCommands()
 
 
 def test_timed_laps_of_a_model_with_five_commands():
-    choices, params = make_race("vehicle.model=tests.race.test_extensions:FIVE_COMMANDS")
+    environment, params = make_race("vehicle.model=tests.race.test_extensions:FIVE_COMMANDS")
 
     def flown(params, key):
         def actor(policy, observation, noise):
             return jnp.clip(noise, -1.0, 1.0)
 
-        return fly_race(choices, actor, 1, 3, True, params, None, start(params, key), key)
+        return fly_race(environment, actor, 1, 3, True, params, None, start(params, key), key)
 
-    start = functools.partial(starting_states, choices, runs=2, from_hover=True)
+    start = functools.partial(starting_states, environment, runs=2, from_hover=True)
     _, recorded = jax.eval_shape(flown, params, jax.random.key(1))
     assert recorded.command.shape == (3, 5, 2)
-    command = by_rows(lambda race, action: environment.command(choices, race, action))
+    command = by_rows(lambda race, action: environment.command(race, action))
     actions = np.random.default_rng(0).uniform(-1, 1, (20, 5)).astype(np.float32)
     (_, flap) = command(params, actions)
     np.testing.assert_allclose(flap, 0.5 * (actions[:, 4] + 1.0), atol=1e-6)
@@ -116,16 +115,19 @@ class Limited(type(MODEL)):
         return low, jax.tree.map(lambda x: self.share * x, high)
 
 
-def test_every_program_reads_a_model_of_the_user_again():
-    choices, params = make_race()
+LIMITED = Limited()
+
+
+def test_a_model_of_the_user_is_traced_again():
+    own = "vehicle.model=tests.race.test_extensions:LIMITED"
     state = jax.tree.map(
         lambda x: x[..., 0], race_state("motor", level(ref.GATES[3], np.zeros(3)), 0)
     )
-    model, seen = Limited(), []
+    seen = []
     for share in (1.0, 0.5):
-        object.__setattr__(model, "share", share)
-        race = dataclasses.replace(choices, model=model)
-        seen.append(jax.jit(functools.partial(environment.observe, race))(params, state))
+        object.__setattr__(LIMITED, "share", share)
+        environment, params = make_race(own)
+        seen.append(jax.jit(environment.observation)(params, state))
     assert np.abs(seen[0] - seen[1]).max() > 0.1
 
 
@@ -138,13 +140,13 @@ HEIGHT = ObservedField("height", 1, "m", "", value=height)
 
 def test_own_fields_are_appended_to_the_observation():
     """A field whose range has no width gives zero."""
-    choices, params = make_race()
+    environment, params = make_race()
     fields = [HEIGHT]
     for name, span in (("empty", (None, 0.0)), ("equal", (2.0, 2.0))):
         fields.append(dataclasses.replace(HEIGHT, name=name, scale=lambda *_, own=span: own))
-    own = dataclasses.replace(choices, layout=make_layout(MODEL, extra=tuple(fields)))
+    own = dataclasses.replace(environment, layout=make_layout(MODEL, extra=tuple(fields)))
     state = race_state("motor", level(ref.GATES[:2], np.ones(3)), [0, 1])
-    plain, more = (compiled_observe(c)(params, state) for c in (choices, own))
+    plain, more = (compiled_observe(c)(params, state) for c in (environment, own))
     np.testing.assert_array_equal(more, np.hstack([plain, [[1.5, 0.0, 0.0]] * 2]))
     assert own.layout.slice("height") == slice(24, 25)
     assert own.layout.size == 27 and own.layout.labels[24:] == ("height", "empty", "equal")
@@ -163,8 +165,8 @@ def test_constants_of_a_group_of_ones_own_are_drawn_as_all():
 
 
 def test_a_layout_survives_its_file_and_damage_is_one_line():
-    choices, params = make_race("disturbance.moment_x=0.03")
-    back = choices.layout.with_spans(choices.model, params)
+    environment, params = make_race("disturbance.moment_x=0.03")
+    back = environment.layout.with_spans(environment.model, params)
     back = Layout.from_meta(back.to_meta(), "file: layout")
     assert back["rpm"].span == ((3000.0, 11000.0),) * 4 and back["position"].span is None
     assert back["moment_ext"].span[0] == pytest.approx((-0.03, 0.03))

@@ -22,7 +22,7 @@ def double(tree):
 
 def flight(race, kind, rows, actions, drawn=None, residual=None):
     """Rows after every step of ``actions`` (steps, n, 4), in double precision."""
-    choices, params = race
+    environment, params = race
     with jax.enable_x64(True):
         nominal = type(params.vehicle.constants)
         exact = nominal(**{k: np.float64(v) for k, v in CONSTANTS[kind].items()})
@@ -34,7 +34,7 @@ def flight(race, kind, rows, actions, drawn=None, residual=None):
         count = np.zeros(len(rows), np.int32)
         state, kept = RaceState(state_of(kind, rows), count, count, count, constants), []
         for action in actions:
-            state, _, _ = compiled_transition(choices)(params, state, action)
+            state, _, _ = compiled_transition(environment)(params, state, action)
             kept.append(rows_of(state.drone))
     return np.stack(kept)
 

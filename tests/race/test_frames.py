@@ -49,9 +49,9 @@ STEPS = [  # from, to (through, right, down of a gate's center, m), whether the 
 
 def frames(track, rows, **changed):
     """Whether steps between rows of world positions (n, 2, 3), m, hit; the target is gate 0."""
-    choices, params = ruled(rules__gate_frame=WIDTH, rules__gate_depth=DEPTH, **changed)
+    environment, params = ruled(rules__gate_frame=WIDTH, rules__gate_depth=DEPTH, **changed)
     moved = level(rows[:, 0], (rows[:, 1] - rows[:, 0]) / DT)
-    _, _, outcome = step((choices, params.replace(track=track)), moved, target=0)
+    _, _, outcome = step((environment, params.replace(track=track)), moved, target=0)
     return outcome.crashes[HIT_A_GATE]
 
 

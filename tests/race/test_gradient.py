@@ -9,7 +9,6 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from quadjax.core.traced import with_leaves
-from quadjax.race import environment
 from quadjax.race.types import RaceState
 from tests import reference as ref
 from tests.convert import residual_of, state_of
@@ -51,7 +50,7 @@ def approach(kind):
 @functools.cache
 def flights(kind):
     """Returns of flights with their gradients, by one program."""
-    choices, params = make_race(f"vehicle.model={kind}")
+    environment, params = make_race(f"vehicle.model={kind}")
     params = double(params.replace(track=track_of(ref.GATES[:2], ref.GATE_YAW[:2])))
     if kind == "motor":
         net = residual_of(ref.random_residual(1.0))
@@ -67,7 +66,7 @@ def flights(kind):
         zero, race = np.zeros((), np.int32), params.replace(reward=weights)
 
         def step(state, action):
-            state, value, outcome = environment.transition(choices, race, state, action)
+            state, value, outcome = environment.transition(race, state, action)
             return state, (value, outcome.passed, outcome.crashed)
 
         state = RaceState(drone, zero, zero, zero, None)
@@ -98,12 +97,12 @@ def test_gradient_of_the_return(kind, case):
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_saturated_actions_can_come_back(kind):
     """Beyond the limit the gradient is the one at the limit, or nothing, by its direction."""
-    choices, params = make_race(f"vehicle.model={kind}")
+    environment, params = make_race(f"vehicle.model={kind}")
     params, zero = double(params), np.zeros((), np.int32)
     state = RaceState(approach(kind), zero, zero, zero, None)
 
     def speed(action, sign):
-        following, _, _ = environment.transition(choices, params, state, action)
+        following, _, _ = environment.transition(params, state, action)
         return sign * jax.tree.leaves(following.drone.actuators)[0]
 
     slope = jax.jit(jax.grad(speed), compiler_options=QUICK)
@@ -117,7 +116,7 @@ def test_saturated_actions_can_come_back(kind):
 
 def test_gradient_is_finite_where_a_flight_ends():
     """At the gate's very center, with no rates, in a crash and at the last step."""
-    choices, params = make_race("reward.body_rates=0.1")
+    environment, params = make_race("reward.body_rates=0.1")
     params, zero = double(params), np.zeros((), np.int32)
     base = approach("motor")
     still = jax.tree.map(np.zeros_like, base.rates)
@@ -126,7 +125,7 @@ def test_gradient_is_finite_where_a_flight_ends():
 
     def value(drone, action):
         state = RaceState(drone, zero, np.int32(1199), zero, None)
-        return environment.transition(choices, params, state, action)[1]
+        return environment.transition(params, state, action)[1]
 
     slope = jax.jit(jax.grad(value, (0, 1)), compiler_options=QUICK)
     for drone in (

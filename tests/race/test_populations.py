@@ -53,8 +53,8 @@ def test_populations_of_the_a2rl_drone(name):
 
 def test_every_rotor_has_its_own_draw():
     own = ("randomization.all=0.3", "randomization.constants={k_w: 0.1, tau: 0}")
-    choices, params = make_race("vehicle=5inch", TRACK, *own)
-    drawn = values_of(compiled_reset(choices)(params, jax.random.key(0), COUNT).constants)
+    environment, params = make_race("vehicle=5inch", TRACK, *own)
+    drawn = values_of(compiled_reset(environment)(params, jax.random.key(0), COUNT).constants)
     nominal, spread = values_of(params.vehicle.constants), {"k_w": 0.1, "tau": 0.0, "g": 0.0}
     factors = {name: np.asarray(x) / float(nominal[name]) for name, x in drawn.items()}
     for name, values in factors.items():
@@ -66,10 +66,10 @@ def test_every_rotor_has_its_own_draw():
 
 def test_population_of_all_racing_drones():
     """The ranges of arXiv 2504.21586, with the sums and products that it draws."""
-    choices, params = make_race(
+    environment, params = make_race(
         "vehicle=5inch", TRACK, "randomization.population=all_racing_drones"
     )
-    drawn = compiled_reset(choices)(params, jax.random.key(1), COUNT).constants
+    drawn = compiled_reset(environment)(params, jax.random.key(1), COUNT).constants
     c = {name: np.asarray(value, float) for name, value in values_of(drawn).items()}
     w = c["w_max"]
     for values, low, high in (
@@ -96,10 +96,10 @@ def test_the_width_scales_every_draw():
     spread = make_params(half).randomization
     found = [float(getattr(spread, name)) for name in ("k_w", "tau", "k_x")]
     assert found == pytest.approx([0.05, 0.2, 0.1])
-    choices, params = make_race(*A2RL_RACE, "randomization.population=monorace_fastest")
+    environment, params = make_race(*A2RL_RACE, "randomization.population=monorace_fastest")
     key, widths = jax.random.key(0), (0.0, 0.25, 1.0)
     none, some, whole = (
-        compiled_reset(choices)(
+        compiled_reset(environment)(
             params.replace(population_width=np.float32(width)), key, 4
         ).constants.k_hor
         for width in widths

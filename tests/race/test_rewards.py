@@ -8,7 +8,7 @@ import pytest
 from quadjax.core.traced import as_leaves, with_leaves
 from quadjax.core.vectors import Vec3
 from quadjax.race import rewards
-from quadjax.race.environment import exact_rules
+from quadjax.race.environment import without_training_limits
 from quadjax.race.rewards import REWARDS, Reward
 from quadjax.race.rules import HIT_A_GATE
 from quadjax.race.types import Step
@@ -49,7 +49,7 @@ def weights(**kept):
 def test_each_term_of_the_reward(kept, expected):
     rows = level(np.stack([through(0, -1), through(0, -0.02, 0.2), through(0, -0.02, 0.6)]), 0.0)
     rows[:, ref.V] = 5 * normal(0)
-    choices, params = make_race()
+    environment, params = make_race()
     quiet = {name: jnp.float32(0) for name in ("k_pv", "k_qv", "k_rr")}
     still = params.vehicle.constants.replace(
         **quiet, i_xx=jnp.float32(1), i_yy=jnp.float32(1), i_zz=jnp.float32(1)
@@ -58,7 +58,7 @@ def test_each_term_of_the_reward(kept, expected):
     rows[:, ref.RATES] = [1.0, 1.0, 0.5]
     pitch = np.array([0.0, 0.3, -0.3])
     rows[:, ref.EULER.start + 1] = pitch - 0.01  # it rises by so much within the step
-    _, value, outcome = step((choices, params), rows)
+    _, value, outcome = step((environment, params), rows)
     assert outcome.passed[1] and outcome.crashes[HIT_A_GATE][2]
     np.testing.assert_allclose(value, expected, atol=2e-5)
 
@@ -90,7 +90,7 @@ def test_gates_may_be_wider_in_training_with_a_penalty():
     passing = 10 - 10 * np.hypot(beyond, 0.03) - 20 * np.maximum(beyond - 0.45, 0)
     expected = [*passing[:2], -10 - 20 * 0.4]
     np.testing.assert_allclose(paid, expected, atol=1e-4)
-    outcome = step((wide[0], exact_rules(wide[0].model, wide[1])), rows, 1)[2]
+    outcome = step((wide[0], without_training_limits(wide[0].model, wide[1])), rows, 1)[2]
     assert outcome.crashes[HIT_A_GATE].tolist() == [False, True, True]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadjax.race import rules
-from quadjax.race.environment import exact_rules, make_environment
+from quadjax.race.environment import without_training_limits
 from quadjax.race.track import unwrapped_turns
 from quadjax.vehicle.motor import MODEL
 from tests import reference as ref
@@ -136,7 +136,7 @@ COLUMNS = dict(zip("xyzuvw", range(6), strict=True), roll=6, pitch=7, p=9, q=10,
 
 def test_every_limit_of_the_motion():
     """Close to each, with its own text; the limits of training do not hold in timed laps."""
-    choices, params = ruled(
+    environment, params = ruled(
         rules__bounds=[[-20, 20], [-20, 20], [-9, 5]],
         rules__body_rate_limit=[5, 7, 9],
         rules__speed_limit=8,
@@ -149,8 +149,8 @@ def test_every_limit_of_the_motion():
     for row, (columns, *_) in zip(rows, LIMITS, strict=True):
         for name, value in columns.items():
             row[COLUMNS[name]] = value
-    for numbers, place in ((params, 1), (exact_rules(choices.model, params), 2)):
-        following, value, outcome = step((choices, numbers), rows, target=1)
+    for numbers, place in ((params, 1), (without_training_limits(environment.model, params), 2)):
+        following, value, outcome = step((environment, numbers), rows, target=1)
         codes = first_score(rows, 1, following, outcome).crash_code
         for index, (case, code) in enumerate(zip(LIMITS, codes, strict=True)):
             assert REASONS[code] == case[place], case
@@ -185,14 +185,17 @@ def test_a_state_that_is_not_finite_is_a_crash_and_nothing_more(kind):
             np.testing.assert_array_equal(state[1], velocity[1].astype(np.float32))
 
 
-def test_timed_laps_have_the_exact_rules(race):
+def test_timed_laps_have_the_without_training_limits(race):
     narrow = make_race("training_limits.gate_inflation=-0.1", "training_limits.pitch_deg=60")[1]
-    exact = exact_rules(MODEL, narrow).training_limits
+    exact = without_training_limits(MODEL, narrow).training_limits
     assert exact.gate_inflation == 0 and exact.roll_deg is None and exact.yaw_rate is None
     limits = (race[1].training_limits, narrow.training_limits, exact)
     np.testing.assert_allclose([each.pitch_deg for each in limits], [85, 60, 89])
     assert make_race("vehicle=5inch")[1].training_limits.pitch_deg is None  # any attitude
-    assert exact_rules(MODEL, narrow.replace(observation_scale=1.0)).observation_scale is None
+    assert (
+        without_training_limits(MODEL, narrow.replace(observation_scale=1.0)).observation_scale
+        is None
+    )
 
 
 def test_a_course_ends_with_its_last_gate(course):
@@ -217,7 +220,7 @@ def test_truncation_is_not_termination(course):
     rows = level([through(3, x) for x in (-2, -2, -0.01, -0.01, -2)], 5.0 * normal(3))
     rows[4, 2], rows[4, 5] = -0.01, 8.0
     state = race_state("motor", rows, 3, [1198, 1199, 0, 1199, 1199])
-    every_step = by_rows(make_environment(course[0]).step)
+    every_step = by_rows(course[0].step)
     _, value, terminated, truncated = every_step(course[1], state, np.zeros((5, 4), np.float32))
     np.testing.assert_array_equal(terminated, [False, False, True, True, True])
     np.testing.assert_array_equal(truncated, [False, True, False, False, False])

@@ -33,8 +33,8 @@ def starts(*overrides):
     return drawn(*make_race(*overrides))
 
 
-def drawn(choices, params, seed=0):
-    state = compiled_reset(choices)(params, jax.random.key(seed), COUNT)
+def drawn(environment, params, seed=0):
+    state = compiled_reset(environment)(params, jax.random.key(seed), COUNT)
     return state, rows_of(state.drone)
 
 
@@ -87,11 +87,11 @@ def test_ranges(case):
 
 @pytest.mark.parametrize("gates", [1, 6])
 def test_random_gate(gates):
-    choices, params = make_race("start.gate=random")
+    environment, params = make_race("start.gate=random")
     turn = 2 * np.pi * np.arange(gates) / gates
     centers = np.stack([9 * np.cos(turn), 9 * np.sin(turn), np.full(gates, -2.0)], 1)
     params = params.replace(track=track_of(centers, turn))
-    state, rows = drawn(choices, params, seed=1)
+    state, rows = drawn(environment, params, seed=1)
     share = np.bincount(state.target, minlength=gates) / COUNT
     assert len(share) == gates
     np.testing.assert_allclose(share, 1 / gates, atol=4 * np.sqrt(0.25 / gates / COUNT) + 0.005)
@@ -154,8 +154,8 @@ def test_hover_start():
 
 
 def test_starts_of_a_course():
-    choices, params = make_race(*COURSE, "start.gate=random")
-    states = compiled_reset(choices)(params, jax.random.key(0), 200)
+    environment, params = make_race(*COURSE, "start.gate=random")
+    states = compiled_reset(environment)(params, jax.random.key(0), 200)
     position = np.stack([*states.drone.position], axis=-1)
     for target, center in enumerate([[-3, -1.5, -1.5], *ref.GATES[:3]]):
         near = position[states.target == target] - center
@@ -184,15 +184,15 @@ def test_starts_along_the_way_to_the_next_gate_at_any_time():
 def test_a_start_that_is_put_past_its_gate_is_mirrored(tilt):
     yaw = np.pi / 4 + np.pi / 2 * np.arange(4)
     track = track_of(ref.GATES, yaw, tilt=tilt)
-    choices, params = make_race("start.along_leg=1", "start.gate=random", "start.position=0.5")
-    state, rows = drawn(choices, params.replace(track=track))
+    environment, params = make_race("start.along_leg=1", "start.gate=random", "start.position=0.5")
+    state, rows = drawn(environment, params.replace(track=track))
     target, found = state.target, rows[:, ref.P]
     still = params.replace(track=track, start=with_leaves(params.start, position=np.float32(0)))
-    way = drawn(choices, still)[1][:, ref.P]
+    way = drawn(environment, still)[1][:, ref.P]
     angles = [(heading, *tilt[::-1]) for heading in yaw]
     through = Rotation.from_euler("ZYX", angles).apply([1.0, 0.0, 0.0])[state.target]
     keys = jax.random.split(jax.random.key(0), COUNT)
-    moved = way + 0.5 * jax.vmap(lambda key: draw_start(choices.model, key)["position"])(keys)
+    moved = way + 0.5 * jax.vmap(lambda key: draw_start(environment.model, key)["position"])(keys)
     depth = np.sum((moved - ref.GATES[target]) * through, 1)
     past = (depth > 0) & (np.sum((way - ref.GATES[target]) * through, 1) < 0)
     assert past.sum() > 50

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from quadjax.cli import run
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.policy.file import Policy
-from quadjax.race import environment, episode
+from quadjax.race import episode
 from quadjax.training.build import (
     initial_policy,
     make_learner,
@@ -95,16 +95,16 @@ def test_a_training_starts_with_the_commands_of_the_file(race, tmp_path, recwarn
     assert bool(warned) == ("this race of [2500.0, 2500.0" in warned) == (race == "wider limits")
     state = start_state(config, learner, params, initial)
     trained = policy_of(config, state.params)
-    choices, own = race_of(first)
-    drone = episode.hover_start(choices, own)
+    environment, own = make_race(first)
+    drone = episode.hover_start(environment, own)
     for _ in range(8):
         rpm = Rotors(*jnp.asarray(random.uniform(4000, 10000, 4), jnp.float32))
         moment = Vec3(*jnp.asarray([0.0 if race == "no moment" else 0.03, -0.01, 0.0]))
         body = drone.drone.replace(actuators=rpm, moment_ext=moment)
         now = drone.replace(drone=body)
         commands, values = [], []
-        for each, (code, numbers) in ((file, (choices, own)), (trained, race_of(config))):
-            seen = np.asarray(environment.observe(code, numbers, now), np.float64)
+        for each, (code, numbers) in ((file, (environment, own)), (trained, make_race(config))):
+            seen = np.asarray(code.observation(numbers, now), np.float64)
             action = mlp(each.layers, seen)
             low, high = each.command_low, each.command_high
             commands.append(np.clip(low + (action + 1.0) / 2.0 * (high - low), 3200.0, 10500.0))

@@ -6,8 +6,8 @@ import jax
 import numpy as np
 import pytest
 
+from quadjax.config.assembly import make_race
 from quadjax.config.assembly import make_race as race_api
-from quadjax.config.assembly import race_of
 from quadjax.core.errors import InputError
 from quadjax.learners.networks import mean_action, predict_value
 from quadjax.training.build import (
@@ -35,7 +35,7 @@ def test_the_observation_of_training_ends_with_the_drawn_constants():
     state = jax.jit(plain.reset)(params, jax.random.key(1))
     seen = jax.jit(environment.observe)(params, state)
     np.testing.assert_array_equal(seen[:-2], jax.jit(plain.observe)(params, state))
-    nominal = race_of(config)[1].vehicle.constants
+    nominal = make_race(config)[1].vehicle.constants
     for found, name, most in zip(seen[-2:], ("k_w", "tau"), (0.2, 0.1), strict=True):
         error = float(getattr(state.constants, name)) / float(getattr(nominal, name)) - 1.0
         assert abs(error) > 1e-3

@@ -91,7 +91,7 @@ def test_the_flights_of_a_score(kind, count, monkeypatch):
     """Of the mean action, or with the noise of training, as ``run.score`` says."""
     calls = []
 
-    def fly(choices, params, act, policy, key, laps, runs, gates):
+    def fly(environment, params, act, policy, key, laps, runs, gates):
         calls.append((act, runs))
         return Laps(np.full((runs, 1), 2.0), ("",) * runs, np.full(runs, 2.0), 8.0), None
 

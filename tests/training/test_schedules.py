@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.config.assembly import make_choices, make_params
+from quadjax.config.assembly import make_environment, make_params
 from quadjax.config.loading import load_config
 from quadjax.training.build import input_scale, make_learner, training_params
 
@@ -85,6 +85,6 @@ def test_constants_and_randomization_can_be_scheduled():
     ((_, params),) = at(config, 5)
     assert float(params.vehicle.constants.tau) == pytest.approx(0.08)
     config = tiny("e2e", "schedules.randomization.drag={linear: [0, 0.2]}")
-    assert make_choices(config).randomize
+    assert make_environment(config).randomize
     ((_, params),) = at(config, 5)
     assert float(params.randomization.k_x) == pytest.approx(0.1)

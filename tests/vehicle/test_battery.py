@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
 from quadjax.core.vectors import Rotors
 from quadjax.race.observations import HIGHEST_RPM
@@ -67,7 +67,7 @@ LOW, HIGH = 0.2, 0.6
 
 
 def _race(*overrides):
-    return race_of(load_config("e2e", [f"battery.charge=[{LOW}, {HIGH}]", *overrides]))
+    return make_race(load_config("e2e", [f"battery.charge=[{LOW}, {HIGH}]", *overrides]))
 
 
 def _limit(rpm: np.ndarray, charge: float) -> float:
@@ -81,25 +81,27 @@ def _limit(rpm: np.ndarray, charge: float) -> float:
 def test_full_power_reaches_the_limit_and_the_policy_observes_it():
     """The estimate and the true limit, which agree after a flight at full power."""
     races = [_race(f"observation.highest_rpm={source}") for source in ("estimated", "ground_truth")]
-    choices, params = races[0]
+    environment, params = races[0]
     state = jax.tree.map(lambda leaf: leaf[None], hover_state(races[0]))
     before = state.battery.charge[0]
     assert before == pytest.approx(HIGH)
     for _ in range(70):
-        state, *_ = compiled_transition(choices)(params, state, np.ones((1, 4), np.float32))
+        state, *_ = compiled_transition(environment)(params, state, np.ones((1, 4), np.float32))
     rpm = np.array(jax.tree.leaves(state.drone.actuators), np.float64)[:, 0]
     limit = _limit(rpm, float(state.battery.charge[0]))
     np.testing.assert_allclose(rpm, limit, rtol=1e-3)
     assert before - 0.01 < state.battery.charge[0] < before
     lowest, highest = 0.75 * 11000.0, 11000.0
-    for choices, params in races:
-        (seen,) = compiled_observe(choices)(params, state)[0, choices.layout.slice(HIGHEST_RPM)]
+    for environment, params in races:
+        (seen,) = compiled_observe(environment)(params, state)[
+            0, environment.layout.slice(HIGHEST_RPM)
+        ]
         assert lowest + 0.5 * (highest - lowest) * (seen + 1.0) == pytest.approx(limit, rel=5e-3)
 
 
 def test_charges_are_drawn_from_the_range():
-    choices, params = _race()
-    charge = compiled_reset(choices)(params, jax.random.key(0), 500).battery.charge
+    environment, params = _race()
+    charge = compiled_reset(environment)(params, jax.random.key(0), 500).battery.charge
     assert charge.min() == pytest.approx(LOW, abs=0.01)
     assert charge.max() == pytest.approx(HIGH, abs=0.01)
     assert charge.mean() == pytest.approx(0.5 * (LOW + HIGH), abs=0.02)

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import quadjax
-from quadjax.config.assembly import race_of
+from quadjax.config.assembly import make_race
 from quadjax.core.vectors import Vec3
-from quadjax.race.environment import make_environment
 from quadjax.vehicle.registry import MODELS
 
 DISTURBED = [name for name, model in MODELS.items() if model.can_be_disturbed]
@@ -25,15 +24,15 @@ def race(name):
     words = [f"disturbance.moment_{axis}={MOMENTS[name]}" for axis in "xyz"]
     words += ["disturbance.force_z=2", "observation.disturbance=estimated"]
     config = quadjax.load(base, [f"vehicle={VEHICLES[name]}", "vehicle.integrator=euler", *words])
-    choices, params = race_of(config)
-    state = jax.jit(make_environment(choices).reset)(params, jax.random.key(3))
-    return choices, params, state
+    environment, params = make_race(config)
+    state = jax.jit(environment.reset)(params, jax.random.key(3))
+    return environment, params, state
 
 
 @pytest.mark.parametrize("name", DISTURBED)
 def test_moment_and_force_reach_the_derivative(name):
-    choices, params, state = race(name)
-    model, drone = choices.model, state.drone
+    environment, params, state = race(name)
+    model, drone = environment.model, state.drone
     moment, force = drone.disturbance
     assert abs(moment.x) > 0 and abs(force.z) > 0 and force.x == 0
     command = model.command_range(params.vehicle.constants)[1]
@@ -50,10 +49,10 @@ def test_moment_and_force_reach_the_derivative(name):
 
 @pytest.mark.parametrize("name", DISTURBED)
 def test_the_estimate_settles_at_the_disturbance(name):
-    choices, params, first = race(name)
-    assert "moment_ext" in choices.layout.names
-    environment, key = make_environment(choices), jax.random.key(3)
-    actions = 0.1 * jax.random.normal(key, (60, choices.model.action_size)) - 0.3
+    environment, params, first = race(name)
+    assert "moment_ext" in environment.layout.names
+    key = jax.random.key(3)
+    actions = 0.1 * jax.random.normal(key, (60, environment.model.action_size)) - 0.3
 
     @jax.jit
     def flown(params, first, actions):
@@ -71,5 +70,5 @@ def test_the_estimate_settles_at_the_disturbance(name):
 
 
 def test_a_race_without_disturbances_has_no_such_state():
-    choices, params = race_of(quadjax.load("e2e_race", ["vehicle=5inch"]))
-    assert not choices.model.disturbed and "moment_ext" not in choices.layout.names
+    environment, params = make_race(quadjax.load("e2e_race", ["vehicle=5inch"]))
+    assert not environment.model.disturbed and "moment_ext" not in environment.layout.names
