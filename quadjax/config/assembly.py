@@ -11,7 +11,7 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
 from quadjax.core.precision import single_precision
-from quadjax.core.traced import SectionType, as_leaves
+from quadjax.core.traced import as_leaves
 from quadjax.race.draws import FROM_GROUND, Disturbance, Start
 from quadjax.race.environment import Race
 from quadjax.race.layout import ObservedField
@@ -117,10 +117,10 @@ def make_params(config: Config) -> RaceParams:
     return RaceParams(
         vehicle=vehicle,
         track=track,
-        reward=_leaves(config, "reward", config.reward),
-        rules=_leaves(config, "rules", _rules(config, limit)),
+        reward=as_leaves(config.reward),
+        rules=as_leaves(_rules(config, limit)),
         training_limits=as_leaves(limits.replace(pitch_deg=pitch)),
-        start=_leaves(config, "start", _start(config, track)),
+        start=as_leaves(_start(config, track)),
         disturbance=as_leaves(config.disturbance),
         randomization=_constants(config, spread),
         tracks=tracks,
@@ -134,13 +134,6 @@ def make_params(config: Config) -> RaceParams:
     )
 
 
-def _leaves(config: Config, name: str, section: SectionType) -> SectionType:
-    """A section as leaves, with the numbers that a schedule changes also where they are 0."""
-    prefix = f"{name}."
-    scheduled = [key.removeprefix(prefix) for key in config.schedules if key.startswith(prefix)]
-    return as_leaves(section, scheduled)
-
-
 def _rules(config: Config, limit: float) -> Rules:
     """The rules with room for random tracks, which need a position limit of ``limit``, m."""
     rules = config.rules
@@ -150,11 +143,11 @@ def _rules(config: Config, limit: float) -> Rules:
 
 
 def _start(config: Config, track: Track) -> Start:
-    """The starts; a ``race`` of None is from the ground where the race starts there, else 0."""
-    if config.start.race is not None:
-        return config.start
+    """The starts, with ``race`` where its None is not none: where the race starts on the ground."""
     on_ground = track.start is not None and track.start.on_ground
-    return config.start.replace(race=FROM_GROUND if on_ground else 0.0)
+    if config.start.race is None and on_ground:
+        return config.start.replace(race=FROM_GROUND)
+    return config.start
 
 
 def _mismatch(config: Config, vehicle: VehicleParams) -> Constants | None:

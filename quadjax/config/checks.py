@@ -96,11 +96,14 @@ def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
                 config.at(key, number)
     except InputError as error:
         raise BadValue(name, f"{where}: {error}") from None
+    if value is None:
+        allowed = "a number, which the schedule changes"
+        raise BadValue(name, f"{name}: {key} is null, allowed: {allowed}")
     if not isinstance(value, float):
         raise BadValue(
             name,
-            f"{name}: {key} may not change during training, allowed: the key of a number that "
-            "the config sets and that may have decimals, such as reward.gate",
+            f"{name}: {key} cannot be scheduled, allowed: a key whose value is a number with "
+            "decimals, such as reward.gate",
         )
     for end, time in (("from", schedule.start), ("until", schedule.until)):
         if time > 1 and schedule.by == "pass_rate":

@@ -1,39 +1,30 @@
 """Sections as pytrees: floats are leaves, which a program takes as numbers; the rest is static."""
 
-import dataclasses
 import types
 import typing
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from typing import Annotated, Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
-from pydantic.fields import FieldInfo
 
 from quadjax.core.sections import Section
 
 SectionType = TypeVar("SectionType", bound=Section)
 
 
-@dataclasses.dataclass(frozen=True)
-class Traced:
-    """Marks a field of a whole number that is a leaf: ``Annotated[int, Traced()]``."""
-
-
-@dataclasses.dataclass(frozen=True)
-class UnusedAtZero:
-    """Marks a field whose number is not used where it is 0; as a leaf it is None then."""
-
-
-def register(section: type[SectionType]) -> type[SectionType]:
+def register(
+    section: type[SectionType], *, whole_numbers: tuple[str, ...] = ()
+) -> type[SectionType]:
     """Register a section as a pytree whose leaves are its numbers.
 
-    These are the fields of floats, of tuples and mappings of floats, and of whole numbers marked
-    ``Traced``. The path of a leaf is the name of its field. A value of None has no leaf; a number
-    marked ``UnusedAtZero`` may be None too, also where its type is float. The static part (sizes,
-    flags, names) is compared as a whole: sections that differ in it are different programs.
+    These are the fields of floats, of tuples and mappings of floats, and the named ones of
+    ``whole_numbers``. The path of a leaf is the name of its field. A value of None has no leaf. The
+    static part (sizes, flags, names) is compared as a whole: sections that differ in it are
+    different programs.
     """
-    leaves = _traced_names(section)
+    fields = section.model_fields.items()
+    leaves = [k for k, x in fields if k in whole_numbers or _is_of_floats(x.annotation)]
     static = [name for name in section.model_fields if name not in leaves]
 
     def flatten(value: SectionType) -> tuple[list, tuple]:
@@ -53,21 +44,9 @@ def register(section: type[SectionType]) -> type[SectionType]:
     return section
 
 
-def as_leaves(section: SectionType, scheduled: Collection[str] = ()) -> SectionType:
-    """The section with its numbers as arrays (): float32, or int32 where ``Traced`` marks them.
-
-    Args:
-        section: of a registered class.
-        scheduled: names of fields that are used also where they are 0.
-    """
-    fields = type(section).model_fields
-
-    def leaves(name: str) -> Any:
-        value = getattr(section, name)
-        marked = UnusedAtZero() in fields[name].metadata and name not in scheduled
-        return None if marked and value == 0.0 else jax.tree.map(_leaf, value)
-
-    return with_leaves(section, **{name: leaves(name) for name in _traced_names(type(section))})
+def as_leaves(section: SectionType) -> SectionType:
+    """A section of a registered class with its numbers as arrays (): float32, int32 if whole."""
+    return jax.tree.map(_leaf, section)
 
 
 def _leaf(number: float) -> jax.Array:
@@ -77,14 +56,6 @@ def _leaf(number: float) -> jax.Array:
 def with_leaves(section: SectionType, **changes: Any) -> SectionType:
     """A copy of a section of leaves with other leaves, which are not validated."""
     return section.model_copy(update=changes)
-
-
-def _traced_names(section: type[Section]) -> list[str]:
-    return [name for name, field in section.model_fields.items() if _is_traced(field)]
-
-
-def _is_traced(field: FieldInfo) -> bool:
-    return _is_of_floats(field.annotation) or any(isinstance(x, Traced) for x in field.metadata)
 
 
 def _is_of_floats(hint: Any) -> bool:

@@ -29,7 +29,7 @@ def wide_margin(config: Config) -> str:
     """A line where the reward's margin is most of what the narrowest opening leaves, or nothing."""
     margin, key = config.reward.gate_edge_margin, "reward.gate_edge_margin"
     half = 0.5 * min(side for gate in config.track.gates for side in gate.size)
-    left = half - config.rules.body_radius
+    left = half - (config.rules.body_radius or 0.0)
     if not config.reward.gate_edge or margin <= 0.5 * left:
         return ""
     narrow = f"the {left:.3g} m from the center to the edge of the narrowest opening"
@@ -51,7 +51,7 @@ def look(run: Run) -> str:
 def next_step(run: Run, flights: Sequence[Flight]) -> list[str]:
     """The smallest clearance of flights against the drone's width, and what to run next."""
     config = run.config
-    half, radius = 0.5 * config.vehicle.width, config.rules.body_radius
+    half, radius = 0.5 * config.vehicle.width, config.rules.body_radius or 0.0
     near = min((float(x) for flight in flights for x in flight.passages[:, 2]), default=math.inf)
     width = f"half of the drone's width is {half:.2f} m" if half else "vehicle.width is not set"
     lines = [f"smallest clearance of the deterministic flights: {near:.2f} m; {width}"]

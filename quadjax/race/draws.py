@@ -7,7 +7,7 @@ The sections ``start``, ``disturbance`` and ``randomization`` of a config;
 from typing import Annotated, Literal
 
 from quadjax.core.sections import ORDERED, Field, Section, Unit
-from quadjax.core.traced import UnusedAtZero, register
+from quadjax.core.traced import register
 from quadjax.race.random_track import FARTHEST, RandomTracks
 from quadjax.vehicle.protocol import VehicleModel
 
@@ -30,17 +30,17 @@ class Start(Section):
     stagger_clocks: bool = Field(
         False, description="start at a random step of the episode's clock, so that resets spread"
     )
-    along_leg: Annotated[float, UnusedAtZero()] = Field(
-        0.0,
+    along_leg: float | None = Field(
+        None,
         ge=0,
         le=1,
         description="farthest start on the way from the gate before to the target gate, as a "
         "fraction of it; the way is a cubic curve that leaves and enters the gates along their "
         "yaw; starts are uniform up to there; those that position puts past the gate are mirrored "
-        "in its plane",
+        "in its plane; null: at the gate before",
     )
-    # In a config, None is the default of the description; as a leaf it is 0: no such start.
-    race: Annotated[float | None, UnusedAtZero()] = Field(
+    # In a config, None is the default of the description; as a leaf it is no such start.
+    race: float | None = Field(
         None,
         ge=0,
         le=1,

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from quadjax.core.gradients import Scalar
 from quadjax.core.imports import user_numbers
 from quadjax.core.sections import Code, Field, Needs, Section, Unit
-from quadjax.core.traced import UnusedAtZero, register
+from quadjax.core.traced import register
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.rules import HIT_A_GATE
 from quadjax.race.track import Gate, to_gate_frame, to_opening_frame
@@ -54,12 +54,14 @@ class Reward(Section):
         description="clearance violation in each axis above which the penalty is constant, m; at "
         "least that at the edge of a widened opening",
     )
-    distance: Annotated[Penalty, UnusedAtZero()] = Field(
-        0.0, description="penalty per s and m of distance from the target gate's center"
+    distance: Penalty | None = Field(
+        None,
+        description="penalty per s and m of distance from the target gate's center; null: none",
     )
-    action_change: Annotated[Penalty, UnusedAtZero()] = Field(
-        0.0,
-        description="penalty per change of an action from step to step, each in -1 to 1, summed",
+    action_change: Penalty | None = Field(
+        None,
+        description="penalty per change of an action from step to step, each in -1 to 1, summed; "
+        "null: none",
     )
     overspeed: Annotated[Penalty, Needs("rules.speed_limit")] = Field(
         20.0,

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from quadjax.core.gradients import Scalar
 from quadjax.core.imports import user_numbers
 from quadjax.core.sections import Code, Field, Needs, Section, Unit
-from quadjax.core.traced import Traced, UnusedAtZero, register
+from quadjax.core.traced import register
 from quadjax.core.vectors import safe_norm
 from quadjax.race.openings import crossing, touches_frame
 from quadjax.race.random_track import FARTHEST
@@ -36,11 +36,12 @@ class Rules(Section):
         "(the paper), within a box along the world axes there (the authors' code), or within the "
         "opening where the line between two samples crosses the plane",
     )
-    body_radius: Annotated[float, UnusedAtZero()] = Field(
-        0.0,
+    body_radius: float | None = Field(
+        None,
         ge=0,
         le=50,
-        description="radius of the drone, m, by which openings, bounds and ground are closer",
+        description="radius of the drone, m, by which openings, bounds and ground are closer; "
+        "null: a point",
     )
     position_limit: float | None = Field(
         10.0, gt=0, le=FARTHEST, description="largest |x| and |y|, m; null: none"
@@ -60,13 +61,13 @@ class Rules(Section):
     ground_height: Annotated[float, Needs("rules.ground_speed")] = Field(
         0.4, ge=0, le=100, description="height below which ground_speed applies, m"
     )
-    gate_frame: Annotated[float, UnusedAtZero()] = Field(
-        0.0,
+    gate_frame: float | None = Field(
+        None,
         ge=0,
         le=10,
         description="width of the solid frame around the opening of every gate, m, which the line "
-        "between two samples may not touch; 0: a collision only where the plane of the target gate "
-        "is crossed outside its opening",
+        "between two samples may not touch; null: a collision only where the plane of the target "
+        "gate is crossed outside its opening",
     )
     gate_depth: Annotated[float, Needs("rules.gate_frame")] = Field(
         0.1, gt=0, le=10, description="depth of the frames, half of it on each side, m"
@@ -83,11 +84,11 @@ class Rules(Section):
     )
 
 
-@register
+@functools.partial(register, whole_numbers=("episode_steps",))
 class TrainingLimits(Section):
     """Limits of training; the exact rules have only the pitch at which a model is singular."""
 
-    episode_steps: Annotated[int, Unit("steps"), Traced()] = Field(
+    episode_steps: Annotated[int, Unit("steps")] = Field(
         1200, ge=1, le=10**6, description="time steps of an episode"
     )
     pitch_deg: float | None = Field(

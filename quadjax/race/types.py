@@ -29,9 +29,8 @@ class RaceParams(struct.PyTreeNode):
     """Every number of the race, traced; and what of the config's sections chooses code.
 
     The numbers of the sections are leaves; their other values are static: ``rules.gate_test``,
-    ``start.gate``, ``start.heading``, ``start.stagger_clocks`` and ``track.closed``. A program also
-    depends on which numbers are None. A number whose field is marked ``UnusedAtZero`` is None as a
-    leaf where it is 0 in the config, so that nothing is computed for it: ``rules.gate_frame``.
+    ``start.gate``, ``start.heading``, ``start.stagger_clocks`` and ``track.closed``. A number that
+    is None is off: nothing is computed for it.
     """
 
     vehicle: VehicleParams

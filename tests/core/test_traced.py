@@ -1,23 +1,24 @@
 """Sections as pytrees: which fields are leaves, and their values."""
 
+import functools
 from typing import Annotated
 
 import jax
 import numpy as np
 
 from quadjax.core.sections import Field, Section, Unit
-from quadjax.core.traced import Traced, UnusedAtZero, as_leaves, register, with_leaves
+from quadjax.core.traced import as_leaves, register, with_leaves
 
 Length = Annotated[float, Field(gt=0)]
 
 
-@register
+@functools.partial(register, whole_numbers=("steps",))
 class Numbers(Section):
     """Every kind of field."""
 
     speed: Length = Field(2.0)
-    yaw_deg: Annotated[float | None, Unit("deg"), UnusedAtZero()] = Field(90.0)
-    steps: Annotated[int, Traced()] = Field(12)
+    yaw_deg: Annotated[float | None, Unit("deg")] = Field(90.0)
+    steps: int = Field(12)
     box: tuple[Length, Length] | None = Field((1.0, 3.0))
     limit: Length | tuple[Length, Length] | None = Field(None)
     weights: dict[str, Length] = Field({"a": 0.5})
@@ -35,11 +36,11 @@ def test_floats_are_leaves():
 
 def test_the_rest_is_static():
     doubled = jax.jit(lambda numbers: jax.tree.map(lambda leaf: 2 * leaf, numbers))
-    leaves = doubled(as_leaves(Numbers(count=7, yaw_deg=0.0)))
+    leaves = doubled(as_leaves(Numbers(count=7, yaw_deg=None)))
     assert leaves.count == 7 and leaves.yaw_deg is None and float(leaves.weights["a"]) == 1.0
     same, other = (jax.tree.structure(as_leaves(Numbers(count=count))) for count in (4, 5))
     assert same == jax.tree.structure(as_leaves(Numbers(speed=9.0))) != other
-    assert float(as_leaves(Numbers(yaw_deg=0.0), ["yaw_deg"]).yaw_deg) == 0.0
+    assert float(as_leaves(Numbers(yaw_deg=0.0)).yaw_deg) == 0.0
     assert float(with_leaves(leaves, speed=np.float32(1e9)).speed) == 1e9  # not validated
 
 

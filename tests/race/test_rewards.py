@@ -23,7 +23,7 @@ ONE_TO_GO = np.linalg.norm(ref.GATES[1] - through(0, 0.03, 0.2))  # 3 cm beyond 
 def weights(**kept):
     """Weights of which all others are zero, but computed: one program for all."""
     zeros = dict.fromkeys((name for name in REWARDS if name != "action_change"), 0.0)
-    return as_leaves(Reward(**(zeros | {"gate_edge_reach": 1.0} | kept)), ["distance"])
+    return as_leaves(Reward(**(zeros | {"gate_edge_reach": 1.0} | kept)))
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import pytest
 
 from quadjax.config.assembly import make_environment, make_params
 from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
 from quadjax.training.build import input_scale, make_learner, training_params
 
 TINY = [
@@ -63,10 +64,13 @@ def test_steps_and_the_keys_own_value():
     np.testing.assert_allclose(changed, expected, rtol=1e-5)
 
 
-def test_a_number_that_is_absent_at_zero_can_be_scheduled():
+def test_a_number_that_may_be_null_can_be_scheduled_where_it_is_not():
     for key in ("start.along_leg", "rules.body_radius"):
         section, name = key.split(".")
-        found = at(tiny("e2e", f"schedules.{key}={{linear: [0, 0.2]}}"), 0, 5, 10)
+        schedule = f"schedules.{key}={{linear: [0, 0.2]}}"
+        with pytest.raises(InputError, match=f"{key} is null, allowed: a number"):
+            tiny("e2e", schedule)
+        found = at(tiny("e2e", f"{key}=0.1", schedule), 0, 5, 10)
         values = [getattr(getattr(params, section), name) for _, params in found]
         np.testing.assert_allclose(values, [0.0, 0.1, 0.2], atol=1e-6)
 
