@@ -12,7 +12,7 @@ from typing import Any
 
 import quadjax.core.forks  # noqa: F401  from here on, forks are known
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 
 def _public() -> dict[str, tuple[str, str]]:

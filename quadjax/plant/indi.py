@@ -90,14 +90,14 @@ def modeled(c: MotorConstants, rpm: Rotors) -> tuple[Vec3, jax.Array]:
 def _differentiated(c: MotorConstants, measurement: Measurement) -> Vec3:
     """Body rates less the yaw rate due to changes of rotor speed, rad/s."""
     return measurement.gyro.replace(
-        z=measurement.gyro.z - total(YAW, measurement.rpm) * (c.k_r2 / c.i_zz)
+        z=measurement.gyro.z - total(YAW, measurement.actuators) * (c.k_r2 / c.i_zz)
     )
 
 
 def init(params: IndiParams, measurement: Measurement) -> IndiState:
     """The filter before the first sample, with no difference of measurement and model."""
     steady = _differentiated(params.constants, measurement)
-    _, thrust = modeled(params.constants, measurement.rpm)
+    _, thrust = modeled(params.constants, measurement.actuators)
     zero = jnp.zeros_like(measurement.specific_force.z)
     return IndiState(*settled(steady, params.filter.derivative), zero, zero, thrust)
 
@@ -118,7 +118,7 @@ def update(
     """
     c, gains, low_pass = params.constants, params.gains, params.filter
     a, b, b_d = low_pass.feedback, low_pass.forward, low_pass.derivative
-    turning, lift = modeled(c, measurement.rpm)
+    turning, lift = modeled(c, measurement.actuators)
     rates = _differentiated(c, measurement)
     rest, memory = advance(a, [(rates, b_d), (turning * -1.0, b)], (state.memory_1, state.memory_2))
     rest_thrust, thrust = advance(
@@ -128,7 +128,7 @@ def update(
     rate_gain = Vec3(*map(jnp.asarray, (gains.roll_gain, gains.pitch_gain, gains.yaw_gain)))
     wanted = (command.rates - measurement.gyro) * rate_gain - (turning + rest)
     rise = (command.thrust - following.thrust) / gains.thrust_lag
-    return following, allocate(params, measurement.rpm, wanted, rise)
+    return following, allocate(params, measurement.actuators, wanted, rise)
 
 
 def allocate(params: IndiParams, rpm: Rotors, wanted: Vec3, rise: jax.Array) -> Rotors:

@@ -104,7 +104,7 @@ def _settled(low_pass: LowPass, signal: Sample) -> tuple[Sample, Sample]:
 def init(params: SimpleParams, measurement: Measurement) -> SimpleState:
     """The loop before the first sample: commands, rates and thrust are steady."""
     unit = (params.rpm_max - params.rpm_min) / UNITS
-    motors = (measurement.rpm + -params.rpm_min) * (1.0 / unit)
+    motors = (measurement.actuators + -params.rpm_min) * (1.0 / unit)
     roll, pitch, yaw = (
         total(signs, motors) * (0.25 / factor)
         for signs, factor in zip((ROLL, PITCH, YAW), MIX, strict=True)

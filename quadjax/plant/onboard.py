@@ -129,7 +129,7 @@ def begin(
     estimated = disturbance.init(params.estimator, now.measurement)
     loop = indi_simple if isinstance(params.inner, SimpleParams) else indi
     inner = loop.init(params.inner, now.measurement)
-    limit = battery.begin(params.limit, now.measurement.rpm, params.first_limit)
+    limit = battery.begin(params.limit, now.measurement.actuators, params.first_limit)
     line = (truth,) * body.measurement_delay
     return OnboardState(line, sensor_state, filtered, estimated, inner, limit, now)
 
@@ -166,7 +166,7 @@ def sense(
     elif params.disturbance == "none":
         moment, force = Vec3.zero(), Vec3.zero()
     now = now.replace(motion=now.motion.replace(moment_ext=moment, force_ext=force))
-    limit = battery.update(params.limit, onboard.limit, now.measurement.rpm, command)
+    limit = battery.update(params.limit, onboard.limit, now.measurement.actuators, command)
     return OnboardState(
         tuple(waiting), sensor_state, filtered, estimated, onboard.inner, limit, now
     )

@@ -160,7 +160,7 @@ def _see_plant(plan: Plan, drones: Drones) -> Seen:
     return _seen(
         *(one.race.state.target, one.race.over),
         *((now.position, now.velocity, now.euler, now.rates), measured),
-        _scaled(measured.rpm, 1.0 / RPM_PER_RAD_S),
+        _scaled(measured.actuators, 1.0 / RPM_PER_RAD_S),
         onboard.inner.thrust if rate_level else jnp.zeros(()),
         (now.moment_ext, now.force_ext),
         (body.position, body.velocity, body.euler, body.rates, actuators),

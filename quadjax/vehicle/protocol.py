@@ -68,7 +68,7 @@ class Measurement(struct.PyTreeNode):
 
     gyro: Vec3  # p, q, r, rad/s, body
     specific_force: Vec3  # accelerometer minus its bias, m/s^2, body
-    rpm: Actuators  # propeller speeds, rpm, or the model's other actuator state
+    actuators: Actuators  # propeller speeds, rpm, or the model's other actuator state
     body_velocity: Vec3  # m/s, body
 
 
@@ -217,7 +217,7 @@ class VehicleModel:
             exchanges with the body, N m s; gyroscopic minus modeled moment, N m; measured minus
             modeled specific force, m/s^2. Moments are per inertia where ``moment_unit`` is.
         """
-        actuators, rates = measured.rpm, measured.gyro
+        actuators, rates = measured.actuators, measured.gyro
         momentum, gyroscopic = self.angular_momentum(params.constants, actuators, rates)
         # The moment of rotor acceleration is differentiated by the filter, not here.
         body = BodyState.steady(measured.body_velocity, rates, actuators)
