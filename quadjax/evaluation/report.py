@@ -40,6 +40,11 @@ class Report:
     config: Config
     note: str = ""  # which flights these are, for titles and the table
 
+    def __repr__(self) -> str:
+        """The groups in one line."""
+        counts = (f"{label}: {len(flights)} flights" for label, flights in self.groups.items())
+        return f"Report({', '.join(counts)})"
+
     @property
     def gates(self) -> Sequence[GateSection]:
         """Of the track that all flights fly.

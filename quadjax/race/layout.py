@@ -48,8 +48,10 @@ class ObservedField:
     unit: str
     frame: str
     range: float = 8.0
-    value: Callable[[Step], Numbers] | None = None
-    scale: Callable[[VehicleModel, RaceParams], Bounds] | None = None
+    value: Callable[[Step], Numbers] | None = dataclasses.field(default=None, repr=False)
+    scale: Callable[[VehicleModel, RaceParams], Bounds] | None = dataclasses.field(
+        default=None, repr=False
+    )
     source: str = ""
     span: tuple[tuple[float, float], ...] | None = None
     by_rotor: bool = False
