@@ -7,7 +7,7 @@ from typing import NamedTuple
 from benchmarks.comparison_tables import contenders, effects, lead_rows, steps
 from benchmarks.plant_tables import CHARGES, charged, looped, unchanged
 from benchmarks.settings import Tree
-from benchmarks.steps import CHARGED, STEPS, WITHOUT
+from benchmarks.steps import STEPS
 
 CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
 BODIES = ("body", "hall")
@@ -95,16 +95,6 @@ TABLES = {
         "interventions", f"step=contender|{SCORED}", lambda data: steps(data, STEPS)
     ),
     "effects": Table("interventions", "from|to|trainings|saved, s", effects),
-    "without": Table(
-        "interventions",
-        "step=contender|drones and seeds|score, s|of each seed, s|finished|simulated, s",
-        lambda data: steps(data, ("E2E, 12000 rpm", *WITHOUT)),
-    ),
-    "charged": Table(
-        "interventions",
-        "trained, charge=contender|drones and seeds|score, s|of each seed, s|time, s|finished",
-        lambda data: steps(data, CHARGED),
-    ),
 }
 
 
