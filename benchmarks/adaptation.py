@@ -1,60 +1,42 @@
-"""E2E with and without the disturbance estimate, on drones with constant damage.
+"""Evaluate a policy on drones that differ from their model, with and without disturbance estimate.
 
-The drones are those of configs/conditions/damage.yaml, in the simulator. *zeros* is the policy that
-observes the estimate, with zeros in its place; *not observed* is one that was trained without it.
-Five trainings of each; a row of ``benchmarks/results/adaptation.json`` has those of a drone.
+'without' is a policy that was trained without disturbances; 'zeros' and 'estimated' are the policy
+that observes them, with zeros or with the onboard estimate as the observation. The drones are those
+of configs/conditions/damage.yaml; docs/design/adaptation.md has rows of the table.
 
-    python -m benchmarks.adaptation --seeds 0 1 2 3 4
+    python -m benchmarks.adaptation [RUNS]
 """
 
-from pathlib import Path
+import dataclasses
 
 import quadjax
-from benchmarks import rows
-from benchmarks.interventions import policy_of
-from quadjax.cli import script
-from quadjax.cli.options import Folder, Seeds
+from quadjax.cli import options, script
 from quadjax.evaluation.conditions import read_conditions
+from quadjax.evaluation.table import policy_table
 
-WITH, BLIND = "E2E, 12000 rpm", "E2E, estimate not observed"
-COLUMNS = {  # step of the interventions, and the disturbance that its policies observe
-    "estimated": (WITH, "estimated"),
-    "zeros": (WITH, "none"),
-    "not observed": (BLIND, "none"),
+POLICIES = {  # by column: policy, and the disturbance that it observes
+    "without": ("e2e_residual", "none"),
+    "zeros": ("e2e_residual_disturbance", "none"),
+    "estimated": ("e2e_residual_disturbance", "estimated"),
 }
-RUNS, RACE = 100, "e2e_cyberzoo"
 
 
-def adaptation(
-    *, seeds: Seeds = (0, 1, 2, 3, 4), output: Folder = Path("runs/interventions")
-) -> None:
-    """Train the policies, unless a folder has their runs, fly them, and write the rows."""
-    listed, found = read_conditions("damage"), {}
-    for column, (step, source) in COLUMNS.items():
-        race = quadjax.load(RACE, [f"observation.disturbance={source}"])
-        for seed in seeds:
-            policy = policy_of(step, seed, output)
-            options = {"conditions": listed, "deterministic": False, "runs": RUNS}
+def rows(runs: int) -> list:
+    """Mean and sampled flights of each column on every drone."""
+    found, listed = [], read_conditions("damage")
+    for column, (policy, source) in POLICIES.items():
+        race = quadjax.load("e2e +residual", [f"observation.disturbance={source}"])
+        for how, deterministic in (("mean", True), ("sampled", False)):
+            options = {"deterministic": deterministic, "runs": runs, "conditions": listed}
             for row in quadjax.evaluate(policy, race, **options).rows:
-                of_drone = found.setdefault(row.condition, {})
-                total = round(row.total, 2) if row.finished else None
-                of_drone.setdefault(column, []).append([row.finished, total])
-        print(column, flush=True)
-    rows.write("adaptation", [row_of(drone, seeds, cells) for drone, cells in found.items()])
+                label = f"{column}, {how}"
+                found.append(dataclasses.replace(row, policy=row.condition, condition=label))
+    return found
 
 
-def row_of(drone: str, seeds: Seeds, cells: dict[str, list]) -> dict:
-    """The row of a drone: flights that finish and their mean time, of each training."""
-    numbers = " ".join(map(str, seeds))
-    return {
-        "name": drone,
-        "command": f"python -m benchmarks.adaptation --seeds {numbers}",
-        "config": [RACE],
-        "seeds": list(seeds),
-        "flights": RUNS,
-        "finished": {column: [count for count, _ in of] for column, of in cells.items()},
-        "total": {column: [total for _, total in of] for column, of in cells.items()},
-    }
+def adaptation(runs: options.Runs = 100, /) -> None:
+    """Print the table, with RUNS flights in each cell."""
+    print(policy_table(rows(runs), "total").format("markdown"))
 
 
 if __name__ == "__main__":

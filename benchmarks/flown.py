@@ -10,6 +10,7 @@ import numpy as np
 import quadjax
 from quadjax.cli.fit import fit
 from quadjax.cli.logs import logs
+from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.rows import Row
 from quadjax.plant.config import load_plant_config
@@ -19,9 +20,16 @@ LOGGED = 6  # flights of each policy for a fit
 
 
 def trained(preset: str, words: Sequence[str], seed: int, folder: Path) -> quadjax.Policy:
-    """The policy of a training, which is resumed, or read if it has ended."""
+    """The policy of a training, which is resumed, or read if it has ended.
+
+    Raises:
+        InputError: a training that was stopped.
+    """
     config = quadjax.load(preset, [*words, f"seed={seed}", "run.devices=1"])
-    return quadjax.train(config, folder, resume=True).policy
+    run = quadjax.train(config, folder, resume=True)
+    if not run.summary["finished"]:
+        raise InputError(f"{folder}: stopped before its end; the same command resumes it")
+    return run.policy
 
 
 def identified(folder: Path, plant: Sequence[str], policies: Sequence[str]) -> Path:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from benchmarks.comparison_tables import contenders, effects, lead_rows, steps
 from benchmarks.plant_tables import CHARGES, charged, looped, unchanged
 from benchmarks.settings import Tree
-from benchmarks.steps import CHARGED, STEPS, WITHOUT
+from benchmarks.steps import STEPS
 
 CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
 BODIES = ("body", "hall")
@@ -43,14 +43,6 @@ def time(row: Tree, condition: str) -> str:
     return f"{spread(row['total'][condition])} ({row['finished'][condition][0]})"
 
 
-def over_seeds(row: Tree, column: str) -> str:
-    """The mean time of five trainings, and the flights of all that finish."""
-    times = [total for total in row["total"][column] if total is not None]
-    count = sum(row["finished"][column])
-    mean = f"{statistics.mean(times):.2f}" if times else "-"
-    return f"{mean} ({count}/{row['flights'] * len(row['seeds'])})"
-
-
 def with_bodies(data: Data) -> list[Tree]:
     """The shipped policies, each with its rows of flights with a body."""
     rows = {row["name"]: row for row in data["body"]}
@@ -73,8 +65,6 @@ COLUMNS: dict[str, Callable[[Tree], str]] = {
     **{f"{c}, s": lambda row, c=c: spread(row["total"].get(c)) for c in CONDITIONS},
     **{c: lambda row, c=c: time(row, c) for c in CONDITIONS},
     **{body: lambda row, body=body: time(row[body], "sampled") for body in BODIES},
-    "blind": lambda row: over_seeds(row, "not observed"),
-    **{c: lambda row, c=c: over_seeds(row, c) for c in ("zeros", "estimated")},
     "hover": lambda row: finished(row, "sampled"),
     "random starts": lambda row: finished(row, "sampled, random"),
     "random starts, body": lambda row: finished(row["body"], "sampled, random"),
@@ -105,17 +95,6 @@ TABLES = {
         "interventions", f"step=contender|{SCORED}", lambda data: steps(data, STEPS)
     ),
     "effects": Table("interventions", "from|to|trainings|saved, s", effects),
-    "without": Table(
-        "interventions",
-        "step=contender|drones and seeds|score, s|of each seed, s|finished|simulated, s",
-        lambda data: steps(data, ("E2E, 12000 rpm", *WITHOUT)),
-    ),
-    "charged": Table(
-        "interventions",
-        "trained, charge=contender|drones and seeds|score, s|of each seed, s|time, s|finished",
-        lambda data: steps(data, CHARGED),
-    ),
-    "damage": Table("adaptation", "drone=name|not observed=blind|zeros=zeros|estimated=estimated"),
 }
 
 
