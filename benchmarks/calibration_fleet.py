@@ -21,21 +21,21 @@ RACES = {"E2E": "e2e_table1", "INDI": "indi_table1"}
 _OWN: list[tuple[str, Config, Policy]] = []  # of a process
 
 
-def make_race(name: str, file: Path) -> Config:
+def race_config(name: str, file: Path) -> Config:
     """The race of a policy; E2E has the residual of its file on board."""
     return quadjax.load(RACES[name], [f"vehicle.residual={file}"] if name == "E2E" else [])
 
 
 def half_width(name: str, file: Path) -> float:
     """Mean half width, m, of simulated paths along x and y."""
-    flown = quadjax.evaluate(file, make_race(name, file), runs=5, laps=6).flights
+    flown = quadjax.evaluate(file, race_config(name, file), runs=5, laps=6).flights
     return float(np.mean([0.5 * np.ptp(each["position"][:, :2], axis=0) for each in flown]))
 
 
 def _begin(name: str, file: Path, core: int) -> None:
     os.sched_setaffinity(0, {core})
     enable_compilation_cache()
-    race = make_race(name, file)
+    race = race_config(name, file)
     _OWN.append((name, race, Policy.load(file, race)))
 
 

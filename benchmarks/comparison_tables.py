@@ -5,16 +5,10 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from benchmarks.settings import Tree
-from benchmarks.steps import CHANGES
+from benchmarks.steps import CHANGES, PRESETS
 from quadjax.evaluation.leads import Leads, leads, totals
 
 FAILED_AFTER = 35.0  # s: what a flight that does not finish counts as
-PRESETS = {
-    "E2E": "e2e_cyberzoo",
-    "INDI": "indi_cyberzoo",
-    "E2E by PPO": "benchmarks/e2e_cyberzoo_ppo.yaml",
-    "INDI by PPO": "benchmarks/indi_cyberzoo_ppo.yaml",
-}
 SCOPES = {"all": "one for all drones", "each": "one for each drone"}
 
 

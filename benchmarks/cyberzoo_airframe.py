@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.calibration_fleet import make_race
+from benchmarks.calibration_fleet import race_config
 from benchmarks.polynomials import limits_of, polynomial, variables_of
 from quadjax.cli import options, script
 from quadjax.core.frames import attitude, world_to_body
@@ -49,7 +49,7 @@ def cyberzoo_airframe(e2e: options.PolicyFile, indi: options.PolicyFile, /) -> N
     motors = plant.motors.replace(rpm_max=zoo.motors.rpm_max, lag=0.004)
     plant = plant.replace(motors=motors, population=DRONES)
     for name, file in {"E2E": e2e, "INDI": indi}.items():
-        race = make_race(name, file)
+        race = race_config(name, file)
         flown = {"runs": RUNS, "recorded": RUNS, "drones": 4, "deterministic": False}
         plan = plan_race(race, plant, Policy.load(file, race), name, **flown)
         states.append(states_of(fly_plan(plan, SEED)))

@@ -27,7 +27,6 @@ import numpy as np
 
 import quadjax
 from quadjax.cli import options, script
-from quadjax.config.assembly import make_race
 from quadjax.core.markdown import table
 from quadjax.race import laps
 from quadjax.race.environment import Race, without_training_limits
@@ -92,7 +91,7 @@ def mppi(
     pairs = list(itertools.product(tracks, seeds))
     configs = [quadjax.load("e2e_race", [f"track={x}", f"seed={seed}"]) for x, seed in pairs]
     for (track, seed), config in zip(pairs, configs, strict=True):
-        environment, params = make_race(config)
+        environment, params = quadjax.make_race(config)
         jax.block_until_ready(fly(environment, samples, params, seed, 1))  # compile
         began, end = time.monotonic(), laps.step_limit(params, LAPS)
         race = jax.block_until_ready(fly(environment, samples, params, seed, end))

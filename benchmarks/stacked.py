@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import quadjax
-from quadjax.config.assembly import make_environment
 from quadjax.core.errors import InputError
 from quadjax.core.mlp import Params
 from quadjax.learners.loop import Plan, train_chunks
@@ -47,7 +46,11 @@ def stack(trees: Sequence[Any]) -> tuple[Any, Any]:
 
 def scorer(config: quadjax.Config, params: Sequence[RaceParams]) -> Callable[[Any], list[float]]:
     """The scores of ``quadjax.training.score.make_flights`` for the parameters of all trainings."""
-    environment, length, runs = make_environment(config), config.evaluate.laps, score_runs(config)
+    environment, length, runs = (
+        quadjax.make_race(config)[0],
+        config.evaluate.laps,
+        score_runs(config),
+    )
     act = act_sampled if config.run.score == "sampled" else act_deterministic
     start_key, key = jax.random.split(jax.random.key(0))
     exact = [

@@ -1,7 +1,13 @@
-"""The trainings of the interventions: from INDI to E2E, and E2E without one of what it has."""
+"""The trainings of tournament and interventions, by the name of contender or step."""
 
 from typing import NamedTuple
 
+PRESETS = {  # of the tournament
+    "E2E": "e2e_cyberzoo",
+    "INDI": "indi_cyberzoo",
+    "E2E by PPO": "benchmarks/e2e_cyberzoo_ppo.yaml",
+    "INDI by PPO": "benchmarks/indi_cyberzoo_ppo.yaml",
+}
 FAST = tuple(f"vehicle.constants.{rate}_max={6 if rate != 'r' else 4}" for rate in "pqr")
 MOTORS = "benchmarks/indi_inner_loop.yaml"  # INDI, trained on the motors through its loop
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from benchmarks import rows
-from benchmarks.comparison_tables import PRESETS
 from benchmarks.flown import flown, identified, numbers, trained
+from benchmarks.steps import PRESETS
 from quadjax.cli import script
 from quadjax.cli.options import LIST, Folder, Seeds
 from quadjax.core.errors import InputError
@@ -48,6 +48,8 @@ def tournament(
     for given, allowed in ((scopes, SCOPES), (contenders, tuple(PRESETS))):
         if unknown := set(given) - set(allowed):
             raise InputError(f"unknown {sorted(unknown)}, allowed: {', '.join(allowed)}")
+    if "each" in scopes and (others := set(contenders) - set(LIMITS)):
+        raise InputError(f"scopes: each has no {sorted(others)}, allowed: all")
     if max(drones) >= DRONES:
         raise InputError(f"drones: {max(drones)}, allowed: 0 to {DRONES - 1}")
     done = {row["name"] for row in rows.read(FILE)}

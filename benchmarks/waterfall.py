@@ -1,4 +1,4 @@
-"""Figure of the interventions: the score of each step from INDI to E2E, with 95% intervals.
+"""Figure of the interventions: the score of each step, with 95% intervals.
 
 python -m benchmarks.waterfall docs/images/waterfall.png
 """
@@ -16,7 +16,7 @@ from quadjax.cli.options import PICTURES, Output
 from quadjax.core.plotting import INK, MUTED, SERIES, new_figure, save_figure, tidy
 from quadjax.evaluation.leads import leads, totals
 
-PATH = (  # from INDI to E2E
+PATH = (  # from above
     "INDI, 16 m/s^2",
     "INDI, 17 m/s^2",
     "INDI, 18 m/s^2",
@@ -36,23 +36,20 @@ def waterfall(file: Annotated[Path, Output(PICTURES)]) -> None:
 
 
 def figure_of(data: list[dict]) -> Figure:
-    """Scores from the top down: dots are trainings; bars lead from the step before."""
+    """Scores: large dots with 95% intervals; small ones are trainings."""
     found = [(step, [row for row in data if row["step"] == step]) for step in PATH]
     steps = [(step, flights(group)) for step, group in found if group]
     figure = new_figure(8.4, 0.8 + 0.42 * len(steps))
     axes = figure.subplots()
     tidy(axes)
-    before = None
     for index, (step, laps) in enumerate(steps):
         score = float(totals(laps, FAILED_AFTER).mean())
         color = SERIES[0] if step.startswith("E2E") else SERIES[1]
-        axes.barh(index, score - (before or score), left=before or score, color=color, height=0.5)
         each = totals(laps, FAILED_AFTER).mean(axis=(0, 2))
         axes.plot(each, np.full(len(each), index), ".", color=MUTED, ms=5)
         ahead = leads(laps, np.full_like(laps, score / laps.shape[-1]), FAILED_AFTER).score
         axes.plot([score - ahead.high, score - ahead.low], [index, index], color=INK, lw=1.2)
         axes.plot(score, index, "o", color=color, ms=6)
-        before = score
     axes.set_yticks(range(len(steps)), [step for step, _ in steps])
     axes.invert_yaxis()
     axes.set_xlabel("score (s): six laps; a flight that does not finish counts as 35 s", color=INK)

@@ -40,7 +40,7 @@ def estimate(
         change = 2.0 * sample_rate * b[0] * np.array([1.0, 0.0, -1.0])
         return lfilter(change, a, signal - signal[0], axis=0)
 
-    gyro, rpm = signals["gyro"], signals["rpm"]
+    gyro, rpm = signals["gyro"], signals["actuators"]
     still = np.zeros_like(gyro)
     motion = ModelInputs(rpm, np.zeros_like(rpm), signals["body_velocity"], gyro)
     force, moment = _model(vehicle, motion)

@@ -47,7 +47,7 @@ def vehicle_model(config: Config) -> VehicleModel:
 
 
 def make_environment(config: Config) -> Race:
-    """The environment, which is static: it chooses code."""
+    """The race as a static environment, whose fields select code."""
     vehicle, observed = vehicle_model(config), config.observation
     extra = tuple(
         field for _, field in _user_objects("observation.extra", observed.extra, ObservedField)
@@ -69,7 +69,7 @@ def make_environment(config: Config) -> Race:
 def _has_own_code(config: Config) -> bool:
     """Whether a step calls code of the user, which may read what changes between two trainings."""
     extra = config.observation.extra, config.reward.terms, config.rules.extra
-    return ":" in config.vehicle.model or any(extra)
+    return ":" in config.vehicle.model or any(extra) or config.network.module is not None
 
 
 def _user_objects(
@@ -143,7 +143,7 @@ def _rules(config: Config, limit: float) -> Rules:
 
 
 def _start(config: Config, track: Track) -> Start:
-    """The starts, with ``race`` where its None is not none: where the race starts on the ground."""
+    """The starts; a ``race`` of None is ``FROM_GROUND`` where the race starts there, else off."""
     on_ground = track.start is not None and track.start.on_ground
     if config.start.race is None and on_ground:
         return config.start.replace(race=FROM_GROUND)

@@ -69,7 +69,7 @@ def with_body(config: Config, radius: float) -> Config:
         InputError: a radius for which an opening is too small.
     """
     with prefixed(f"body_radius={radius:g}"):
-        rules = config.rules.replace(body_radius=radius, gate_test="interpolated")
+        rules = config.rules.replace(body_radius=radius or None, gate_test="interpolated")
         config = config.replace(rules=rules)
         check(config)
     return config
@@ -97,7 +97,7 @@ def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
     except InputError as error:
         raise BadValue(name, f"{where}: {error}") from None
     if value is None:
-        allowed = "a number, which the schedule changes"
+        allowed = "a key that the config sets to a number"
         raise BadValue(name, f"{name}: {key} is null, allowed: {allowed}")
     if not isinstance(value, float):
         raise BadValue(

@@ -34,6 +34,12 @@ CODE = [  # sections and keys whose values may be module:OBJECT
     if Code() in field.metadata
 ]
 
+# Numbers without an effect at 0, which is null there: no body, no frames, ..
+OFF_AT_ZERO = (
+    *("rules.body_radius", "rules.gate_frame", "start.along_leg"),
+    *("reward.distance", "reward.action_change"),
+)
+
 
 def load_config(
     config: Path | str, overrides: Sequence[str] = (), *, code: Collection[str] | None = None
@@ -150,7 +156,7 @@ def config_of(tree: Tree, source: str | Sources) -> Config:
     with one_line_errors(source):
         schema = _learner_schema(tree.get("learner", {}))
         vehicle = validate(Vehicle, tree.get("vehicle", {}), source, prefix="vehicle.")
-        tree = {**tree, "vehicle": _with_constants(vehicle)}
+        tree = _null_is_off({**tree, "vehicle": _with_constants(vehicle)})
         tree, written = in_plain_units(tree, schema)
         schedules = {} if tree.get("schedules") is None else tree["schedules"]
         if isinstance(schedules, dict):  # null removes a schedule; schedules=null removes all
@@ -160,6 +166,16 @@ def config_of(tree: Tree, source: str | Sources) -> Config:
         config = validate(Config, tree, source)
         check(config)
     return config.with_race_units(written)
+
+
+def _null_is_off(tree: Tree) -> Tree:
+    """The tree with null for 0 in ``OFF_AT_ZERO``: one value for what has no effect."""
+    changed = {key: dict(x) if isinstance(x, Mapping) else x for key, x in tree.items()}
+    for section, name in (key.split(".") for key in OFF_AT_ZERO):
+        values = changed.get(section)
+        if isinstance(values, dict) and values.get(name) == 0:
+            values[name] = None
+    return changed
 
 
 def stored_config(tree: Tree, file: str, code: Collection[str] = ()) -> Config:

@@ -24,6 +24,7 @@ def register(
     different programs.
     """
     fields = section.model_fields.items()
+    assert set(whole_numbers) <= section.model_fields.keys(), whole_numbers
     leaves = [k for k, x in fields if k in whole_numbers or _is_of_floats(x.annotation)]
     static = [name for name in section.model_fields if name not in leaves]
 
@@ -45,7 +46,7 @@ def register(
 
 
 def as_leaves(section: SectionType) -> SectionType:
-    """A section of a registered class with its numbers as arrays (): float32, int32 if whole."""
+    """A registered section with its numbers as arrays (): int32 for whole ones, else float32."""
     return jax.tree.map(_leaf, section)
 
 

@@ -141,7 +141,7 @@ class Row:
 
 
 def speed_record(
-    _choices: Race, _params: RaceParams, race: LapState, _action: jax.Array
+    _environment: Race, _params: RaceParams, race: LapState, _action: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Of each drone (runs,), for ``fly_race``: speed, m/s, target gate, and whether it is over."""
     return safe_norm(race.state.drone.velocity), race.state.target, race.over

@@ -72,7 +72,7 @@ class Problem:
     the start of timed laps, at rest.
     """
 
-    environment: Race  # of the race: RK4, and gates passed where the path crosses their planes
+    environment: Race  # with RK4; gates are passed where the path crosses their planes
     params: RaceParams  # without training limits, in float64, with steps of 1 ms
     flight: Flight
     gates: Gates  # of the track, smaller by the radius of the drone

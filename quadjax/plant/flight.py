@@ -28,14 +28,14 @@ from quadjax.vehicle.rigid_body import RigidBodyState
 
 
 class Plan(struct.PyTreeNode):
-    """Flights before the start: every number, and static environment of code and sizes."""
+    """Flights before the start: every number; environment and sizes are static."""
 
     plant: PlantParams
     race: RaceParams
     onboard: OnboardParams
     pilot: Pilot
     charge: tuple[jax.Array, jax.Array]  # lowest and highest at the start
-    environment: Race = struct.field(pytree_node=False)  # of the race
+    environment: Race = struct.field(pytree_node=False)
     step: float = struct.field(pytree_node=False)  # s, of the control loop
     hold: int = struct.field(pytree_node=False)  # samples in a control step
     limit: int = struct.field(pytree_node=False)  # control steps until a flight is out of time

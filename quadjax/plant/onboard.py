@@ -31,7 +31,7 @@ DRAWS = sensors.DRAWS + gusts.DRAWS
 
 
 class OnboardParams(struct.PyTreeNode):
-    """Numbers of the onboard computers, and two static environment."""
+    """Numbers of the onboard computers, and two static settings."""
 
     sensors: SensorParams
     ekf: EkfParams

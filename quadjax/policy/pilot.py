@@ -56,8 +56,8 @@ def fit_race(
     (ground truth, estimated or none) is that of the race.
 
     Args:
-        environment: of the race.
-        params: of the race.
+        environment: the race.
+        params: its numbers.
         policy: the policy.
         name: its file, for messages.
 
@@ -108,8 +108,8 @@ def make_pilot(environment: Race, params: RaceParams, policy: Policy, determinis
     """The policy with the conversions to and from the environment's scaling.
 
     Args:
-        environment: of the race, from ``fit_race``.
-        params: of the race, from ``fit_race``.
+        environment: the race, from ``fit_race``.
+        params: its numbers, from ``fit_race``.
         policy: the policy.
         deterministic: fly the mean rather than samples.
     """
@@ -133,8 +133,8 @@ def in_scaling_of(
     there is a warning: the layers have no limits of their own.
 
     Args:
-        environment: of the race, which has the fields of the policy in the same order.
-        params: of the race.
+        environment: the race, which has the fields of the policy in the same order.
+        params: its numbers.
         policy: the policy.
         name: its file, for messages.
 
@@ -232,8 +232,8 @@ def fly_policy(
     """Time a policy's laps, with the observation that it was trained with.
 
     Args:
-        environment: of the race.
-        params: of the race.
+        environment: the race.
+        params: its numbers.
         policy: the policy.
         deterministic: fly the mean rather than samples.
         seed: of the noise, the disturbances and the starts.

@@ -37,9 +37,9 @@ class Start(Section):
         description="farthest start on the way from the gate before to the target gate, as a "
         "fraction of it; the way is a cubic curve that leaves and enters the gates along their "
         "yaw; starts are uniform up to there; those that position puts past the gate are mirrored "
-        "in its plane; null: at the gate before",
+        "in its plane; null: all starts are at the gate before",
     )
-    # In a config, None is the default of the description; as a leaf it is no such start.
+    # None is the default of the description in a config, and no such start in ``RaceParams``.
     race: float | None = Field(
         None,
         ge=0,

@@ -1,7 +1,7 @@
 """The racing environment ``Race``: vehicle, track, rules and starts as pure functions of one drone.
 
-``quadjax.race.types`` has its traced ``RaceParams`` and its ``RaceState``. ``flag=`` at a call only
-stops XLA's CPU backend from computing the result again for every use
+``quadjax.race.types`` has its traced ``RaceParams`` and its ``RaceState``. The argument ``flag``
+changes no value: it stops XLA's CPU backend from computing a result again for every use
 (``quadjax.core.materialize``).
 """
 
@@ -52,7 +52,7 @@ class Race(Environment[RaceParams, RaceState]):
     user_terms: UserFunctions = ()  # a user's reward terms, in addition to REWARDS
     user_rules: UserFunctions = ()  # a user's rules, in addition to TERMINATIONS
     report_passes: bool = False  # report the gates passed to the learner, for curricula
-    own_code: object = None  # with code of a user, a new object: then no program is shared
+    own_code: object = None  # with code of a user, a new object: no program is used again
 
     @property
     def observation_size(self) -> int:  # type: ignore[override]
@@ -212,7 +212,7 @@ def without_training_limits(model: VehicleModel, params: RaceParams) -> RacePara
 
 
 @dataclasses.dataclass(frozen=True)
-class PrivilegedRace(Environment[RaceParams, RaceState]):
+class PrivilegedRace(Race):
     """A race whose observation ends with the drawn constants, for the critic alone.
 
     An asymmetric actor-critic (Pinto et al., 2017, arXiv 1710.06542): the policy's network does not
@@ -220,22 +220,12 @@ class PrivilegedRace(Environment[RaceParams, RaceState]):
     of each (1 where a population has no such number); observed are relative errors, divided by it.
     """
 
-    race: Race
-    spread: tuple[tuple[str, float], ...]
+    spread: tuple[tuple[str, float], ...] = ()
 
     @property
     def observation_size(self) -> int:  # type: ignore[override]
         """Size of the observation with the constants."""
-        return self.race.observation_size + len(self.spread)
-
-    @property
-    def action_size(self) -> int:  # type: ignore[override]
-        """As of the race."""
-        return self.race.action_size
-
-    def reset(self, params: RaceParams, key: jax.Array) -> RaceState:
-        """As of the race."""
-        return self.race.reset(params, key)
+        return super().observation_size + len(self.spread)
 
     def observe(self, params: RaceParams, state: RaceState) -> jax.Array:
         """The observation of the race and the relative errors of the constants."""
@@ -245,14 +235,4 @@ class PrivilegedRace(Environment[RaceParams, RaceState]):
             value = nominal[name]
             size = jnp.where(value == 0.0, 1.0, jnp.abs(value))
             errors.append((constants[name] - value) / (size * largest))
-        return jnp.concatenate([self.race.observe(params, state), jnp.stack(errors)])
-
-    def step(
-        self, params: RaceParams, state: RaceState, action: jax.Array
-    ) -> tuple[RaceState, jax.Array, jax.Array, jax.Array]:
-        """As of the race."""
-        return self.race.step(params, state, action)
-
-    def completed(self, before: RaceState, after: RaceState) -> jax.Array | None:
-        """As of the race."""
-        return self.race.completed(before, after)
+        return jnp.concatenate([super().observe(params, state), jnp.stack(errors)])

@@ -41,7 +41,7 @@ class Rules(Section):
         ge=0,
         le=50,
         description="radius of the drone, m, by which openings, bounds and ground are closer; "
-        "null: a point",
+        "null: the drone is a point",
     )
     position_limit: float | None = Field(
         10.0, gt=0, le=FARTHEST, description="largest |x| and |y|, m; null: none"

@@ -59,7 +59,7 @@ class World:
     """A simulated drone in a race."""
 
     name: str  # for the result
-    environment: Race  # of the race
+    environment: Race
     params: RaceParams  # of the race
     step: float  # of the control loop, s
     limit: int  # control steps, after which a race is out of time

@@ -34,7 +34,7 @@ REFERENCE_LEG, REFERENCE_TIME = 3.5, 0.43  # m and s, of the paper's track and t
 def training_environment(config: Config) -> Environment[RaceParams, RaceState]:
     """The race of training. Where the critic observes the drawn constants, they come last."""
     environment, constants = make_environment(config), privileged_constants(config)
-    return PrivilegedRace(environment, constants) if constants else environment
+    return PrivilegedRace(**vars(environment), spread=constants) if constants else environment
 
 
 def privileged_constants(config: Config) -> tuple[tuple[str, float], ...]:

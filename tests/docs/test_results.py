@@ -173,7 +173,7 @@ def restructured(folder, change):
 
 def remove_gate(tree):
     """A key that has gone since, and one that has come."""
-    del tree["reward"]["distance"]
+    del tree["reward"]["time"]
     tree["reward"]["camera"] = 0.0
 
 
@@ -183,7 +183,7 @@ def test_a_change_of_structure_keeps_rows_if_no_frozen_number_differs(
 ):
     row = restructured(folder, remove_gate)
     line = rows.stale(row)
-    assert "reward.camera 0.0, now absent" in line and "reward.distance absent, now 0.0" in line
+    assert "reward.camera 0.0, now absent" in line and "reward.time absent, now 0.0" in line
     monkeypatch.setattr(frozen, "compare", lambda parts: count)
     monkeypatch.setattr(frozen, "read", lambda: [{"machine": frozen.machine()}])
     assert run_script("results", "restamp") == status

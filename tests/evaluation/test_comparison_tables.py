@@ -6,6 +6,7 @@ import pytest
 from benchmarks import interventions, tournament
 from benchmarks.comparison_tables import contenders, flights, lead_rows, steps
 from benchmarks.plant_tables import charged, looped
+from benchmarks.steps import STEPS
 from benchmarks.waterfall import PATH, figure_of
 from quadjax.core.errors import InputError
 
@@ -68,7 +69,7 @@ def test_the_lead_is_that_of_e2e_on_the_same_drone():
 
 def test_steps_and_charges_have_a_line_each():
     data = [row("", "", seed, [[[1.0, 2.0]]], step="INDI, 13 m/s^2") for seed in (0, 1)]
-    (line,) = steps({"interventions": data})
+    (line,) = steps({"interventions": data}, STEPS)
     assert (line["contender"], line["drones and seeds"]) == ("INDI, 13 m/s^2", "1, 2")
     made = {"name": "e2e battery.charge=[0.2, 0.2]", "policy": "e2e.npz"}
     made |= {"plant": ["cyberzoo", "battery.charge=[0.2, 0.2]"]}
@@ -85,7 +86,7 @@ def test_the_figure_has_a_line_for_each_step_that_has_rows():
     data = [row("", "", seed, laps, step=step) for step in PATH[-2:] for seed in (0, 1)]
     (axes,) = figure_of(data).axes
     assert [label.get_text() for label in axes.get_yticklabels()] == list(PATH[-2:])
-    assert set(PATH) <= set(interventions.STEPS)
+    assert set(PATH) <= set(STEPS)
 
 
 def test_a_drone_that_the_plant_lacks_is_refused():

@@ -9,12 +9,12 @@ from flax import linen as nn
 from quadjax.config.loading import load_config
 from quadjax.core.environment import Vectorized
 from quadjax.core.errors import InputError
-from quadjax.learners import parallel
+from quadjax.learners import parallel, ppo
 from quadjax.learners.loop import plan_chunks
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.parallel import choose_devices, core_count, prepare_devices
 from quadjax.learners.ppo import PPO, Batch, collect, loss
-from quadjax.learners.rollout import Steps, Task, clip, first_state, run_epochs, td_lambda
+from quadjax.learners.rollout import Steps, Task, _bound, clip, first_state, run_epochs, td_lambda
 from quadjax.learners.shac import SHAC, make_policy_optimizer, total_return
 from quadjax.training.build import training_environment
 from tests.learners.probes import ENVIRONMENT, NETWORK, probe
@@ -206,15 +206,31 @@ def test_a_run_has_the_steps_that_are_asked_for():
     assert (plan.updates_per_chunk, plan.chunks, plan.steps) == (21, 63, 21 * 63 * 12288)
 
 
-def test_updates_are_shared_unless_they_have_code_of_the_user():
+def test_equal_environments_share_their_updates():
     environment, other = (
         training_environment(load_config("e2e_race_robust", [x]))
         for x in ("seed=1", "track=figure8")
     )
     assert environment == other and hash(environment) == hash(other)
-    assert parallel.repeat(environment.step, 2) is not parallel.repeat(environment.step, 3)
-    update = lambda hyper, params, state: (state, {})  # noqa: E731
-    assert parallel.repeat(update, 2) is parallel.repeat(update, 2)
+    parts = NETWORK, ppo._init, ppo._update
+    first, second = (_bound(x, *parts)[1] for x in (environment, other))
+    assert first is second and parallel.repeat(first, 2) is parallel.repeat(second, 2)
+    assert parallel.repeat(first, 2) is not parallel.repeat(first, 3)
+
+
+@pytest.mark.parametrize(
+    "word",
+    [
+        "vehicle.model=tests.race.test_extensions:LIMITED",
+        "observation.extra=[tests.race.test_extensions:HEIGHT]",
+        "reward.terms={tests.race.test_extensions:height: 1.0}",
+        "rules.extra=[tests.race.test_extensions:ceiling]",
+        "network.module=tests.learners.test_train:Constants",
+    ],
+)
+def test_an_environment_with_code_of_the_user_is_shared_by_nothing(word):
+    config = load_config("e2e", [word])
+    assert make_environment(config) != make_environment(config)
 
 
 def test_as_many_devices_as_cores_are_prepared_at_most(monkeypatch):

@@ -185,7 +185,7 @@ def test_a_state_that_is_not_finite_is_a_crash_and_nothing_more(kind):
             np.testing.assert_array_equal(state[1], velocity[1].astype(np.float32))
 
 
-def test_timed_laps_have_the_without_training_limits(race):
+def test_timed_laps_have_no_training_limits(race):
     narrow = make_race("training_limits.gate_inflation=-0.1", "training_limits.pitch_deg=60")[1]
     exact = without_training_limits(MODEL, narrow).training_limits
     assert exact.gate_inflation == 0 and exact.roll_deg is None and exact.yaw_rate is None

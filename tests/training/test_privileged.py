@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from quadjax.config.assembly import make_race
-from quadjax.config.assembly import make_race as race_api
 from quadjax.core.errors import InputError
 from quadjax.learners.networks import mean_action, predict_value
 from quadjax.training.build import (
@@ -28,7 +27,7 @@ OWN = ("randomization={thrust: 0.2, lag: 0.1}", "observation.critic_constants=tr
 
 
 def test_the_observation_of_training_ends_with_the_drawn_constants():
-    config, (plain, params) = make_config(*OWN), race_api(make_config(OWN[0]))
+    config, (plain, params) = make_config(*OWN), make_race(make_config(OWN[0]))
     environment = training_environment(config)
     assert privileged_constants(config) == (("k_w", 0.2), ("tau", 0.1))
     assert environment.observation_size == plain.observation_size + 2
