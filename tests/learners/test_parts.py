@@ -6,6 +6,7 @@ import pytest
 import scipy.stats
 from flax import linen as nn
 
+from quadjax.config.assembly import make_environment
 from quadjax.config.loading import load_config
 from quadjax.core.environment import Vectorized
 from quadjax.core.errors import InputError

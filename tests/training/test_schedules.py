@@ -68,7 +68,7 @@ def test_a_number_that_may_be_null_can_be_scheduled_where_it_is_not():
     for key in ("start.along_leg", "rules.body_radius"):
         section, name = key.split(".")
         schedule = f"schedules.{key}={{linear: [0, 0.2]}}"
-        with pytest.raises(InputError, match=f"{key} is null, allowed: a number"):
+        with pytest.raises(InputError, match=f"{key} is null, allowed: a key that"):
             tiny("e2e", schedule)
         found = at(tiny("e2e", f"{key}=0.1", schedule), 0, 5, 10)
         values = [getattr(getattr(params, section), name) for _, params in found]
