@@ -46,19 +46,14 @@ def stack(trees: Sequence[Any]) -> tuple[Any, Any]:
 
 def scorer(config: quadjax.Config, params: Sequence[RaceParams]) -> Callable[[Any], list[float]]:
     """The scores of ``quadjax.training.score.make_flights`` for the parameters of all trainings."""
-    environment, length, runs = (
-        quadjax.make_race(config)[0],
-        config.evaluate.laps,
-        score_runs(config),
-    )
+    (environment, _), runs = quadjax.make_race(config), score_runs(config)
     act = act_sampled if config.run.score == "sampled" else act_deterministic
     start_key, key = jax.random.split(jax.random.key(0))
-    exact = [
-        without_training_limits(environment.model, x).replace(observation_scale=x.observation_scale)
-        for x in params
-    ]
+    exact = [without_training_limits(environment.model, x) for x in params]
+    exact = [x.replace(observation_scale=y.observation_scale) for x, y in zip(exact, params)]
+    length, dt = config.evaluate.laps, float(exact[0].rules.time_step)
     sizes = length, max(laps.step_limit(x, length) for x in exact), False
-    (stacked, axes), dt = stack(exact), float(exact[0].rules.time_step)
+    stacked, axes = stack(exact)
     network = build.make_network(config).clone(privileged_size=0)
 
     @jax.jit
