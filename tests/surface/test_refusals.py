@@ -94,7 +94,7 @@ train 'e2e +fastest' 'reward.gate=2 feet' | reward.gate feet number
 train 'e2e +fastest' 'run.steps=1 leg times' | run.steps whole number
 train 'e2e +fastest' 'schedules.learner.std.linear=[1 legs, 2]' | learner.std.linear[0] legs
 train e2e 'schedules.learner.std={linear: [0.3, -0.1]}' | schedules.learner.std.linear[1] -0.1
-train e2e 'schedules.run.steps={linear: [1, 2]}' | schedules.run.steps cannot be scheduled key number
+train e2e 'schedules.run.steps={linear: [1, 2]}' | schedules.run.steps cannot be scheduled number
 train latin.yaml | latin.yaml line 2 not UTF-8 text
 train twice.yaml | twice.yaml line 2: found duplicate key "logs"
 train e2e_ppo learner.num_envs=10 learner.num_minibatches=7 | num_minibatches
