@@ -129,7 +129,7 @@ def _with_opening(tree: Tree, sources: Sources) -> Tree:
     track = validate(TrackSection, section, sources, "track.")
     opening, frame = track.opening or 0.0, validate(Rules, rules, sources, "rules.").gate_frame
     gates = [{**gate, "size": [opening, opening]} for gate in section["gates"]]
-    if frame is not None:
+    if frame:  # not null, and not the 0 that is read as null
         sizes = sorted({side for gate in track.gates for side in gate.size})
         outer = sizes[0] + 2.0 * frame
         allowed = f"at most {outer:g}, the outer edge of the frames"

@@ -6,7 +6,7 @@ from pathlib import Path
 import pydantic
 import pytest
 
-from quadjax.config.loading import config_of, load_config
+from quadjax.config.loading import OFF_AT_ZERO, config_of, load_config
 from quadjax.config.schema import Reward
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS, preset_names
@@ -345,6 +345,22 @@ training_limits.gate_inflation=0.3 'reward={gate_edge: 5, gate_offset: 0}' \
 def test_accepted(row):
     """Small effects of a fit below zero; a schedule that never takes the key's own value."""
     assert load_config(BLANK, shlex.split(row))
+
+
+@pytest.mark.parametrize("key", OFF_AT_ZERO)
+def test_a_number_without_an_effect_at_0_is_null_there(key):
+    """In a config, and in that of a policy file, which is then of the same race."""
+    zero, null = (load_config("e2e", [f"{key}={value}"]) for value in (0, "null"))
+    assert zero == null == load_config("e2e")
+    section, name = key.split(".")
+    tree = null.to_tree()
+    tree[section][name] = 0.0
+    assert config_of(tree, "file") == null
+
+
+def test_no_frames_stay_none_with_another_opening():
+    course = ["track=grand_challenge", "track.opening=0.55", "rules.gate_frame=0"]
+    assert load_config("e2e_race", course).rules.gate_frame is None
 
 
 def test_one_opening_for_all_gates():
