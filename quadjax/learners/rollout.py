@@ -12,6 +12,7 @@ import optax
 from flax import struct
 
 from quadjax.core.environment import Environment, Vectorized, where_done
+from quadjax.core.errors import InputError
 from quadjax.core.gradients import Scalar
 from quadjax.core.mlp import Params
 from quadjax.core.traced import as_leaves
@@ -57,7 +58,15 @@ def bind(
     ``init(task, hyper, key)`` and ``update(task, hyper, state)`` are those of the algorithm.
     Learners of one algorithm with the same environment and network share their functions, which
     JAX traces once.
+
+    Raises:
+        InputError: an environment that is not hashable.
     """
+    try:
+        hash(environment)
+    except TypeError:
+        name = type(environment).__name__
+        raise InputError(f"{name} is not hashable, allowed: a frozen dataclass") from None
     functions = _bound(environment, network, init, update)
     return Learner(*functions, as_leaves(section), section.num_envs * length)
 

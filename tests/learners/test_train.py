@@ -1,6 +1,7 @@
 """Training on any environment in memory: by PPO, by SHAC and by own learners."""
 
 import contextlib
+import dataclasses
 import io
 import runpy
 from pathlib import Path
@@ -54,6 +55,18 @@ def test_training_finds_the_best_action(name):
     assert rows[-1]["steps"] == result.steps and len(rows) <= 21
     assert np.mean(result.metrics["reward"][-5:]) > np.mean(result.metrics["reward"][:5])
     assert result.parameters["actor"]["Dense_0"]["kernel"].shape == (3, 16)
+
+
+@dataclasses.dataclass
+class Unhashable(ProbeEnvironment):
+    """An environment whose fields could change."""
+
+    number: int = 1
+
+
+def test_an_environment_that_could_change_is_refused_in_one_line():
+    with pytest.raises(InputError, match="Unhashable is not hashable, allowed: a frozen dataclass"):
+        DEFAULTS["ppo"].train(Unhashable(), probe(), 100)
 
 
 class Constant(nn.Module):
