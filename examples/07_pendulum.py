@@ -23,13 +23,8 @@ class Pendulum(quadjax.Environment):
         rate = state["rate"] + DT * (params["gravity"] * jnp.sin(state["angle"]) + torque)
         angle, clock = state["angle"] + DT * rate, state["clock"] + 1
         reward = jnp.cos(angle) - 0.01 * rate**2  # 1 where it stands still and upright
-        truncated = clock >= 100
-        return (
-            {"angle": angle, "rate": rate, "clock": clock},
-            reward,
-            jnp.zeros((), bool),
-            truncated,
-        )
+        state, truncated = {"angle": angle, "rate": rate, "clock": clock}, clock >= 100
+        return state, reward, jnp.zeros((), bool), truncated
 
 
 def main():
