@@ -22,31 +22,31 @@ from quadjax.cli import options, script
 from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
 from quadjax.learners.loop import Plan
-from quadjax.learners.state import Learner
+from quadjax.learners.schedules import Training
 from quadjax.training import build
 from quadjax.training.folder import FILES, KIND, prepare_folder
 
 Words = Annotated[tuple[str, ...], options.LIST, Parameter(metavar="KEY=VALUE ...")]
 
 
-def make_learners(configs: Sequence[quadjax.Config]) -> list[tuple[Learner, Plan]]:
-    """The learner and the plan of each training.
+def make_trainings(configs: Sequence[quadjax.Config]) -> list[tuple[Training, Plan]]:
+    """Each training with its plan.
 
     Raises:
         InputError: trainings that cannot share one program.
     """
-    made, first = [build.make_learner(config) for config in configs], configs[0]
-    (learner, plan), run = made[0], first.run
+    made, first = [build.make_training(config) for config in configs], configs[0]
+    (_, plan), run = made[0], first.run
     alike = run, first.evaluate, first.rules.time_step
     if run.score == "reward" or run.initial_policy or first.evaluate.gates:
         raise InputError(
             "run.score reward, run.initial_policy and evaluate.gates are not supported"
         )
-    for config, (other, its_plan) in zip(configs, made, strict=True):
+    for config, (_, its_plan) in zip(configs, made, strict=True):
         same = (config.run, config.evaluate, config.rules.time_step) == alike
-        if not same or its_plan != plan or other.update is not learner.update:
+        if not same or its_plan != plan:
             raise InputError(f"--each: {config.name} cannot share the program of {first.name}")
-    stack([build.training_params(config) for config in configs])
+    stack([training for training, _ in made])
     return made
 
 
@@ -71,7 +71,7 @@ def at_once(
         raise InputError(
             "--seeds, --each: two trainings have the same name, allowed: different ones"
         )
-    made = make_learners(configs)
+    made = make_trainings(configs)
     for config, folder in zip(configs, folders, strict=True):
         with claim(folder, KIND, FILES):
             prepare_folder(config, folder, resume=False, overwrite=False)

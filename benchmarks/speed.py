@@ -59,19 +59,19 @@ def training_loop(config) -> tuple:
     import jax
 
     from quadjax.learners import parallel
-    from quadjax.training.build import make_learner, start_state, training_params
+    from quadjax.training.build import make_training, start_state
 
-    (learner, _), params = make_learner(config), training_params(config)
-    first = start_state(config, learner, params)
+    training, plan = make_training(config)
+    first = start_state(config, training)
     mesh = parallel.choose_mesh(config.run.devices, first)
     state = [parallel.place(first, mesh)]
-    updates = max(1, round(STEPS_PER_CALL / 10 / learner.steps_per_update))
-    chunk = parallel.compile_chunk(learner, mesh, updates, params, state[0])
+    updates = max(1, round(STEPS_PER_CALL / 10 / plan.steps_per_update))
+    chunk = parallel.compile_chunk(training, mesh, updates, state[0])
 
     def call():
-        state[0] = jax.block_until_ready(chunk(params, state[0]))[0]
+        state[0] = jax.block_until_ready(chunk(state[0]))[0]
 
-    return call, updates * learner.steps_per_update
+    return call, updates * plan.steps_per_update
 
 
 def measure(kind: str, name: str, number: str, repeats: int) -> str:

@@ -16,7 +16,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.mlp import Params
 from quadjax.learners.loop import Plan, train_chunks
 from quadjax.learners.parallel import repeat
-from quadjax.learners.state import Learner
+from quadjax.learners.schedules import Training
 from quadjax.policy.inference import PolicyParams, act_deterministic, act_sampled
 from quadjax.race import laps
 from quadjax.race.environment import without_training_limits
@@ -26,7 +26,7 @@ from quadjax.training.checkpoint import RunState
 from quadjax.training.result import MetricsFile, write_summary
 from quadjax.training.score import score_runs
 
-Configs, Made = Sequence[quadjax.Config], Sequence[tuple[Learner, Plan]]
+Configs, Made = Sequence[quadjax.Config], Sequence[tuple[Training, Plan]]
 
 
 def stack(trees: Sequence[Any]) -> tuple[Any, Any]:
@@ -77,20 +77,20 @@ def at(tree: Any, index: int) -> Any:
 
 
 def train(configs: Configs, made: Made, folders: Sequence[Path], limit: float) -> None:
-    """Train all configs together, with the learners and plans ``made``, and write their folders."""
+    """Train all configs together, with the trainings and plans ``made``; write their folders."""
     start, first = time.monotonic(), configs[0]
-    params = [build.training_params(config) for config in configs]
-    learners, (learner, plan) = [each for each, _ in made], made[0]
+    trainings, (_, plan) = [each for each, _ in made], made[0]
+    params = [training.task.env_params for training in trainings]
     # Each by itself: the batched QR of their initial kernels can block for ever on two cores.
-    begun = [build.start_state(*each) for each in zip(configs, learners, params, strict=True)]
+    begun = [build.start_state(*each) for each in zip(configs, trainings, strict=True)]
     runs = [RunState(state, jax.device_get(state.evaluated)) for state in begun]
-    (hyper, races), axes = stack([(x.hyper, y) for x, y in zip(learners, params, strict=True)])
+    stacked, axes = stack(trainings)
     states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *begun)
-    updates = repeat(learner.update, plan.updates_per_chunk)
-    many = jax.jit(jax.vmap(updates, (*axes, 0)), donate_argnums=2)
+    updates = functools.partial(repeat, count=plan.updates_per_chunk)
+    many = jax.jit(jax.vmap(updates, (axes, 0)), donate_argnums=1)
     small = dataclasses.replace(begun[0], environment=None, optimizer=(), target=None, ema=None)
     files, score = [MetricsFile(folder, 0, False) for folder in folders], scorer(first, params)
-    for chunk in train_chunks(functools.partial(many, hyper), races, states, plan):
+    for chunk in train_chunks(functools.partial(many, stacked), states, plan):
         seconds, scores = time.monotonic() - start, score(chunk.state.evaluated)
         latest = jax.device_get(chunk.state.evaluated)
         for i, total in enumerate(scores):

@@ -1,4 +1,4 @@
-"""Another learner on the race: gradient ascent through the simulator, without a critic."""
+"""Another learner on the race: evolution strategies, which need no gradient and no critic."""
 
 import jax
 import jax.numpy as jnp
@@ -7,46 +7,42 @@ import optax
 import quadjax
 
 
-class GradientAscent(quadjax.LearnerSection):
-    num_envs: int = 64
-    horizon: int = 40
-    learning_rate: float = 3e-3
+class Evolution(quadjax.Learner):
+    num_envs: int = 256  # each flies with a copy of the network
+    horizon: int = 60
+    noise: float = 0.05
+    learning_rate: float = 0.01
+    steps_per_update = property(lambda self: self.num_envs * self.horizon)
 
-    def make(self, environment, network, num_updates):
-        adam = optax.adam(self.learning_rate)
+    def init(self, task, key):
+        w = task.network.init(key, jnp.zeros(task.environment.observation_size))["params"]
+        return quadjax.TrainState(w, optax.adam(1.0).init(w), None, (), key, jnp.int32(0))
 
-        def init(hyper, params, key):
-            w = network.init(key, jnp.zeros(environment.observation_size))["params"]
-            return quadjax.TrainState(w, adam.init(w), None, (), key, jnp.int32(0))
+    def update(self, task, state):
+        def step(carry, _):  # of all environments, each until it crashes
+            states, alive = carry
+            seen = task.environment.observe(task.env_params, states)
+            action = jax.vmap(lambda w, x: task.network.apply({"params": w}, x)[0])(weights, seen)
+            states, reward, ended, _ = task.environment.step(task.env_params, states, action)
+            return (states, alive & ~ended), jnp.where(alive, reward, 0.0)
 
-        def loss(w, params, key):  # of one environment, until it crashes
-            def step(carry, _):
-                state, alive = carry
-                seen = environment.observe(params, state)
-                action = network.apply({"params": w}, seen, method="mean")
-                state, reward, terminated, _ = environment.step(params, state, action)
-                return (state, alive & ~terminated), jnp.where(alive, -reward, 0.0)
-
-            start = (environment.reset(params, key), jnp.array(True))
-            return jax.lax.scan(step, start, None, self.horizon)[1].mean()
-
-        def update(hyper, params, old):
-            keys = jax.random.split(old.key, 1 + self.num_envs)
-            differentiate = jax.vmap(jax.value_and_grad(loss), in_axes=(None, None, 0))
-            losses, gradients = differentiate(old.params, params, keys[1:])
-            gradient = jax.tree.map(lambda g: jnp.nan_to_num(g).mean(axis=0), gradients)
-            change, optimizer = adam.update(gradient, old.optimizer)
-            w = optax.apply_updates(old.params, change)
-            new = quadjax.TrainState(w, optimizer, None, (), keys[0], old.update + 1)
-            return new, {"reward": -losses.mean()}
-
-        return quadjax.Learner(init, update, {}, self.num_envs * self.horizon)
+        key, noise_key, start_key = jax.random.split(state.key, 3)
+        flat, unflatten = jax.flatten_util.ravel_pytree(state.params)
+        draws = jax.random.normal(noise_key, (self.num_envs, flat.size))
+        weights = jax.vmap(unflatten)(flat + self.noise * draws)
+        starts = task.environment.reset(task.env_params, jax.random.split(start_key, self.num_envs))
+        alive = jnp.ones(self.num_envs, bool)
+        reward = jax.lax.scan(step, (starts, alive), None, self.horizon)[1].mean(axis=0)
+        score = (reward - reward.mean()) / (reward.std() + 1e-8)
+        slope = unflatten(-(score @ draws) / self.num_envs)
+        change, optimizer = optax.adam(self.learning_rate).update(slope, state.optimizer)
+        w = optax.apply_updates(state.params, change)
+        return state.following((), key, params=w, optimizer=optimizer), {"reward": reward.mean()}
 
 
 def main():
     environment, params = quadjax.make_race(quadjax.load("e2e"))
-    result = GradientAscent().train(environment, params, steps=200_000)
-    reward = result.metrics["reward"]
+    reward = Evolution().train(environment, params, steps=1_000_000).metrics["reward"]
     print(f"mean reward {reward[:5].mean():.3f} at first, {reward[-5:].mean():.3f} at the end")
 
 

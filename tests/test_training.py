@@ -1,5 +1,6 @@
 """Whole runs: the same bits after a stop, a kill at any moment, and every shipped config."""
 
+import functools
 import shutil
 import threading
 import types
@@ -16,15 +17,15 @@ from quadjax.core.resources import preset_names
 from quadjax.evaluation.evaluate import evaluate
 from quadjax.export.race_source import policy_race
 from quadjax.learners import loop
+from quadjax.learners.schedules import Training
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 from quadjax.training import run as training
 from quadjax.training.build import (
     initial_policy,
-    make_learner,
+    make_training,
     policy_of,
     start_state,
-    training_params,
     untrained_policy,
 )
 from tests.surface.short import short_config
@@ -89,8 +90,8 @@ def test_the_critic_of_a_file_is_scaled_to_the_unit_of_the_reward(tmp_path):
     path = tmp_path / "first.npz"
     untrained_policy(config_of("e2e_ppo")).save(path)
     config = config_of("e2e", f"run.initial_policy={path}", "learner.reward_scale=0.25")
-    (learner, _), params = make_learner(config), training_params(config)
-    state = start_state(config, learner, params, initial_policy(config))
+    run, _ = make_training(config)
+    state = start_state(config, run, initial_policy(config))
     file = Policy.load(path)
     scales = [1.0] * (len(file.value) - 1) + [0.25]
     for params in (state.params, state.target, state.ema):
@@ -188,9 +189,9 @@ STANDIN = {"e2e_table1": ["vehicle.residual=standin_residual.npz"]}  # the publi
 def test_every_shipped_config_has_a_program(name):
     """Two updates at the sizes of the preset are traced; nothing is compiled."""
     config = load_config(name, STANDIN.get(name, []))
-    (learner, _), params = make_learner(config), training_params(config)
-    state = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
-    jax.eval_shape(training.parallel.repeat(learner.update, 2), learner.hyper, params, state)
+    run, _ = make_training(config)
+    state = jax.eval_shape(Training.init, run, jax.random.key(0))
+    jax.eval_shape(functools.partial(training.parallel.repeat, count=2), run, state)
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from quadjax.vehicle.constants import replaced
 from quadjax.vehicle.estimator import EstimatorParams, estimator_params
 from quadjax.vehicle.protocol import Constants, VehicleModel, VehicleParams
 from quadjax.vehicle.registry import base_model
-from quadjax.vehicle.residual import read_residual, scale_residual
+from quadjax.vehicle.residual import read_residual
 
 
 def vehicle_model(config: Config) -> VehicleModel:
@@ -99,9 +99,7 @@ def make_vehicle(config: Config) -> VehicleParams:
     if vehicle.residual is None:
         return VehicleParams(constants)
     residual = read_residual(Path(vehicle.residual))
-    if vehicle.residual_gain != 1.0:
-        residual = scale_residual(residual, jnp.float32(vehicle.residual_gain))
-    return VehicleParams(constants, residual)
+    return VehicleParams(constants, residual.replace(gain=jnp.float32(vehicle.residual_gain)))
 
 
 def make_params(config: Config) -> RaceParams:
@@ -112,8 +110,6 @@ def make_params(config: Config) -> RaceParams:
     tracks, limit = None, 0.0
     if config.randomization.tracks is not None:
         tracks, limit = make_tracks(config.randomization.tracks)
-    spread = config.randomization.by_constant(base_model(config.vehicle.model))
-    population = config.randomization.population
     return RaceParams(
         vehicle=vehicle,
         track=track,
@@ -122,10 +118,9 @@ def make_params(config: Config) -> RaceParams:
         training_limits=as_leaves(limits.replace(pitch_deg=pitch)),
         start=as_leaves(_start(config, track)),
         disturbance=as_leaves(config.disturbance),
-        randomization=_constants(config, spread),
+        randomization=as_leaves(config.randomization.replace(tracks=None)),
         tracks=tracks,
         heading=inside_turn(track) if config.start.heading == "inside_turn" else None,
-        population_width=None if population is None else jnp.float32(config.randomization.width),
         mismatch=_mismatch(config, vehicle),
         estimator=_estimator(config, vehicle),
         battery=_battery(config, vehicle),
@@ -202,3 +197,27 @@ def make_race(config: Config | Path | str) -> tuple[Race, RaceParams]:
 
     config = config if isinstance(config, Config) else load_config(config)
     return make_environment(config), make_params(config)
+
+
+def leaf_paths(config: Config, key: str) -> tuple[str, ...]:
+    """Paths of the leaves, of ``learner`` and of ``params``, that a key of a config sets.
+
+    The onboard estimator of the disturbance has the vehicle's numbers too.
+    """
+    section, _, rest = key.partition(".")
+    part, _, name = rest.partition(".")
+    if section != "vehicle":
+        return (key if section == "learner" else f"params.{key}",)
+    if part == "residual_gain":
+        place = "vehicle.residual.gain"
+    else:
+        model = base_model(config.vehicle.model)
+        pairs = jax.tree_util.tree_leaves_with_path(
+            model.make_constants({each: each for each in model.constant_names})
+        )
+        text = {x: jax.tree_util.keystr(path, simple=True, separator=".") for path, x in pairs}
+        place = f"{key.removesuffix(name)}{text.get(name, name)}"
+    if part == "mismatch":
+        return (f"params.{place.removeprefix('vehicle.')}",)
+    paths = (f"params.{place}", f"params.estimator.{place}")
+    return paths if config.observation.disturbance == "estimated" else paths[:1]

@@ -105,6 +105,8 @@ def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
             f"{name}: {key} cannot be scheduled, allowed: a key whose value is a number with "
             "decimals, such as reward.gate",
         )
+    if needs := _computed_from(config, key):
+        raise BadValue(name, f"{name}: {key} cannot be scheduled: {needs} computed from it")
     for end, time in (("from", schedule.start), ("until", schedule.until)):
         if time > 1 and schedule.by == "pass_rate":
             refuse(f"{name}.{end}", time, "a level up to 1 with by: pass_rate")
@@ -114,6 +116,17 @@ def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
     begin, *_, last = schedule.knots(steps, steps)
     if begin > last:
         refuse(f"{name}.from", schedule.start, f"before until {schedule.until:g}")
+
+
+def _computed_from(config: Config, key: str) -> str:
+    """What is computed from a number before training, and would not follow it; "": nothing."""
+    if key == "rules.time_step":
+        return "filters and limits are"
+    if key == "rules.position_limit" and config.randomization.tracks is not None:
+        return "with randomization.tracks, the limit is"
+    if key.startswith("vehicle.constants.") and config.battery is not None:
+        return "the numbers of the battery are"
+    return ""
 
 
 def _check_observation(config: Config) -> None:

@@ -10,16 +10,21 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from quadjax.core.errors import InputError, close_match, prefixed, short
+from quadjax.core.imports import load_object
 from quadjax.core.resources import CONFIGS, find_file, preset_names
 from quadjax.core.yaml_files import Tree, Whole, flatten, merge_trees, parse_overrides
 from quadjax.core.yaml_layers import Layer, read_layers, read_tree_with_bases
+from quadjax.learners.learner import Learner
+from quadjax.learners.ppo import PPO
 from quadjax.learners.schedules import Schedule
+from quadjax.learners.shac import SHAC
 from quadjax.vehicle.vehicle_file import vehicle_values
 
 OVERRIDES = "overrides"  # the source of the last layer
 DEFAULTS = {"vehicle": "bebop1.yaml", "track": "square4.yaml"}
 VEHICLE: Tree = {"file": None, "width": 0.0, "fitted_speed": None, "constants": Whole()}
 TRACK: Tree = {"file": None, "generate": None, "gates": [], "start": None, "closed": True}
+LEARNERS: dict[str, type[Learner]] = {"ppo": PPO, "shac": SHAC}
 DATA_FILES = (("vehicle", "residual"), ("run", "initial_policy"))  # .npz
 SCHEDULE_KEYS = [field.alias or name for name, field in Schedule.model_fields.items()]
 
@@ -146,7 +151,7 @@ def without_replaced(tree: Tree, over: Tree, source: str) -> Tree:
 
     Constants of the earlier model move to ``vehicle.models``. Gates replace a random track, and a
     random track replaces gates, with their name, start and ``closed``. Another algorithm replaces
-    the hyperparameters and their schedules.
+    the hyperparameters and their schedules, unless its class is derived from that of the former.
 
     Raises:
         InputError: a vehicle file that would turn a race of body rates into one of rotor commands.
@@ -169,12 +174,23 @@ def without_replaced(tree: Tree, over: Tree, source: str) -> Tree:
     elif "gates" in values:
         replaced = {"generate"} if "name" in values else {"generate", "name"}
         tree["track"] = {key: x for key, x in lower.items() if key not in replaced}
-    algorithm = _section(tree, "learner").get("algorithm")
-    if _section(over, "learner").get("algorithm", algorithm) != algorithm:
+    algorithm = _section(tree, "learner").get("algorithm", "ppo")
+    new = _section(over, "learner").get("algorithm", algorithm)
+    if new != algorithm and not _is_derived(new, algorithm):
         schedules = _section(tree, "schedules").items()
         tree["schedules"] = {key: x for key, x in schedules if "learner." not in key}
         tree["learner"] = {}
     return tree
+
+
+def _is_derived(new: object, algorithm: object) -> bool:
+    """Whether a learner of the user's own is derived from the one that it replaces."""
+    if not (isinstance(new, str) and ":" in new):
+        return False
+    former = LEARNERS.get(str(algorithm)) or load_object(str(algorithm), "learner.algorithm")
+    return isinstance(kind := load_object(new, "learner.algorithm"), type) and (
+        isinstance(former, type) and issubclass(kind, former)
+    )
 
 
 def _section(tree: Tree, section: str) -> Tree:

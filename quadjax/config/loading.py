@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from quadjax.config.checks import check
-from quadjax.config.layers import config_layers, override_layers, without_replaced
+from quadjax.config.layers import LEARNERS, config_layers, override_layers, without_replaced
 from quadjax.config.scales import in_plain_units
 from quadjax.config.schema import Config, Rules, Vehicle
 from quadjax.core.errors import InputError, close_match, prefixed
@@ -17,15 +17,12 @@ from quadjax.core.section_keys import fields_at
 from quadjax.core.sections import BadValue, Code, one_line_errors, refuse, validate
 from quadjax.core.yaml_files import Tree, merge_trees
 from quadjax.core.yaml_layers import Sources, merge_layers
-from quadjax.learners.ppo import PPO
-from quadjax.learners.section import LearnerSection
-from quadjax.learners.shac import SHAC
+from quadjax.learners.learner import Learner
 from quadjax.race.random_track import RandomTrack, generate
 from quadjax.race.track import TrackSection
 from quadjax.vehicle.registry import base_model
 from quadjax.vehicle.vehicle_file import for_each_rotor
 
-LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
 WORDS = re.compile(r" +(?=\+|[\w.]+=)")  # between a preset, its parts and overrides
 CODE = [  # sections and keys whose values may be module:OBJECT
     (section, key)
@@ -66,13 +63,14 @@ def load_config(
     path = find_config(name)
     parts = [word[1:] for word in words if word.startswith("+")]
     changes = [word for word in words if not word.startswith("+")]
-    tree, sources = merge_layers(config_layers(path, parts, changes), path, without_replaced)
+    layers = config_layers(path, parts, changes)
+    for source, layer in layers if code is not None else ():
+        _refuse_code(layer, str(source), code or ())
+    tree, sources = merge_layers(layers, path, without_replaced)
     for key, file in list(sources.files.items()):
         if key.startswith("vehicle.models."):  # where constants are until the model is known
             sources.files.setdefault(f"vehicle.constants.{key.rpartition('.')[2]}", file)
     tree = _with_opening(generated(tree, sources), sources)
-    if code is not None:
-        _refuse_code(tree, str(path), code)
     return config_of(tree, sources)
 
 
@@ -246,15 +244,15 @@ def _with_constants(vehicle: Vehicle) -> Vehicle:
     )
 
 
-def _learner_schema(learner: Any) -> type[LearnerSection]:
+def _learner_schema(learner: Any) -> type[Learner]:
     """The class of the learner section, which its algorithm names."""
     if not isinstance(learner, dict):
         refuse("learner", learner, "a mapping")
     name = learner.get("algorithm", "ppo")
     if isinstance(name, str) and ":" in name:
         schema = load_object(name, "learner.algorithm")
-        if not (isinstance(schema, type) and issubclass(schema, LearnerSection)):
-            refuse("learner.algorithm", name, "a LearnerSection")
+        if not (isinstance(schema, type) and issubclass(schema, Learner)):
+            refuse("learner.algorithm", name, "a Learner")
         return schema
     if not isinstance(name, str) or name not in LEARNERS:
         refuse("learner.algorithm", name, f"{', '.join(LEARNERS)} or module:Class")

@@ -24,9 +24,9 @@ from quadjax.core.sections import (
     Section,
 )
 from quadjax.core.yaml_files import to_yaml
+from quadjax.learners.learner import Learner, Network
 from quadjax.learners.ppo import PPO
 from quadjax.learners.schedules import Curriculum, Schedule
-from quadjax.learners.section import LearnerSection, Network
 from quadjax.race.draws import Disturbance, Randomization, Start
 from quadjax.race.observation_config import Observation
 from quadjax.race.rewards import Reward
@@ -216,9 +216,7 @@ class Config(Section):
     )
     randomization: Randomization = Randomization()
     network: Network = Network()
-    learner: SerializeAsAny[LearnerSection] = Field(
-        PPO(), description="hyperparameters of the algorithm"
-    )
+    learner: SerializeAsAny[Learner] = Field(PPO(), description="hyperparameters of the algorithm")
     curriculum: Curriculum = Curriculum()
     schedules: dict[str, Schedule] = Field(
         {},

@@ -260,6 +260,7 @@ def _residual(
     rates = np.ldexp(1.0, np.array(exponents[:3]))
     sign = float(residual.thrust_sign)
     rpm = Rescale.of(middle * (ONE / 2.0**exponent), factor * 2.0 ** (exponent - network))
+    residual = residual.with_gain_in_layers()
     thrust, shift = _network("thrust", mlp.to_layers(residual.thrust), ranges, channels[5:], sign)
     ranges = np.append(ranges, rates)
     moment, shifts = _network("moment", mlp.to_layers(residual.moment), ranges, channels[:3], 1.0)

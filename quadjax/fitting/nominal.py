@@ -151,6 +151,7 @@ def file_inputs(motion: ModelInputs, rpm_range: tuple[float, float]) -> np.ndarr
 def residual_output(residual: Residual, motion: ModelInputs) -> np.ndarray:
     """Output (n, 4) of the residual networks: az, m/s^2, and moments, N m."""
     inputs = file_inputs(motion, (float(residual.rpm_min), float(residual.rpm_max)))
+    residual = residual.with_gain_in_layers()
     force = float(residual.thrust_sign) * evaluate(to_layers(residual.thrust), inputs[:, :7])
     return np.concatenate([force, evaluate(to_layers(residual.moment), inputs)], axis=1)
 

@@ -4,7 +4,6 @@ import dataclasses
 import math
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -70,9 +69,7 @@ class Progress:
         return {"steps": self.steps, "steps_per_second": self.steps_per_second, **means}
 
 
-def train_chunks(
-    chunk: Chunk, params: Any, state: TrainState, plan: Plan, done: int = 0
-) -> Iterator[Progress]:
+def train_chunks(chunk: Chunk, state: TrainState, plan: Plan, done: int = 0) -> Iterator[Progress]:
     """Train to the end of the plan, and yield the run after each chunk.
 
     The memory of an earlier state is reused: only the latest one may be read. ``done`` are the
@@ -83,7 +80,7 @@ def train_chunks(
     """
     for steps in range(done, plan.steps, plan.steps_per_chunk):
         started = time.monotonic()
-        state, metrics = chunk(params, state)
+        state, metrics = chunk(state)
         values = {name: np.asarray(value) for name, value in metrics.items()}
         check_finite(values, steps // plan.steps_per_update)
         speed = plan.steps_per_chunk / (time.monotonic() - started)

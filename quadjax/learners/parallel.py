@@ -10,7 +10,7 @@ import contextlib
 import functools
 import os
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -19,11 +19,14 @@ import psutil
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from quadjax.core.errors import InputError
-from quadjax.learners.state import Learner, Metrics, TrainState, Update
+from quadjax.learners.state import Metrics, TrainState
+
+if TYPE_CHECKING:
+    from quadjax.learners.schedules import Training
 
 AXIS = "environments"  # name of the mesh axis over which the environments are split
 SHARED = PartitionSpec()
-Chunk = Callable[[Any, TrainState], tuple[TrainState, Metrics]]
+Chunk = Callable[[TrainState], tuple[TrainState, Metrics]]
 Tree = TypeVar("Tree")
 
 
@@ -158,52 +161,42 @@ def compile_options() -> dict[str, bool]:
     return {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
 
 
-@functools.lru_cache(maxsize=8)
-def repeat(update: Update, count: int) -> Update:
-    """A number of updates as one function, with the metrics of each, (count,)."""
-
-    def many(hyper: Any, params: Any, state: TrainState) -> tuple[TrainState, Metrics]:
-        return jax.lax.scan(lambda carry, _: update(hyper, params, carry), state, None, count)
-
-    return many
+def repeat(training: "Training", state: TrainState, count: int) -> tuple[TrainState, Metrics]:
+    """The state after a number of updates, and the metrics of each, (count,)."""
+    return jax.lax.scan(lambda carry, _: training.update(carry), state, None, count)
 
 
-def compile_chunk(
-    learner: Learner, mesh: Mesh, updates: int, params: Any, state: TrainState
-) -> Chunk:
+def compile_chunk(training: "Training", mesh: Mesh, updates: int, state: TrainState) -> Chunk:
     """Compile ``updates`` updates as one program that reuses the old state's memory.
 
     It is compiled ahead of time, for a state or its shapes: one of another shape is an error, not
     another compilation.
 
     Returns:
-        A function of the environment's parameters and the placed state, to the next state and the
-        metrics of every update, each (updates,).
+        A function of the placed state, to the next state and the metrics of every update, each
+        (updates,).
 
     Raises:
         InputError: the program needs more memory than a device has.
     """
     shared, split = NamedSharding(mesh, SHARED), _shardings(state, mesh)
     jitted = jax.jit(
-        repeat(learner.update, updates),
-        in_shardings=(shared, shared, split),
+        repeat,
+        static_argnums=2,
+        in_shardings=(shared, split),
         out_shardings=(split, shared),
-        donate_argnums=2,
+        donate_argnums=1,
         compiler_options=compile_options(),
     )
-    hyper, params = jax.device_put((learner.hyper, params), shared)
+    training = jax.device_put(training, shared)
     shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), state)
     with jax.set_mesh(mesh):
-        program = jitted.lower(hyper, params, shapes).compile()
+        program = jitted.lower(training, shapes, updates).compile()
     if (memory := program.memory_analysis()) is not None:  # not available on every backend
         results = memory.output_size_in_bytes - memory.alias_size_in_bytes
         needed = memory.argument_size_in_bytes + memory.temp_size_in_bytes + results
         check_memory(needed, mesh)
-
-    def chunk(params: Any, state: TrainState) -> tuple[TrainState, Metrics]:
-        return program(hyper, jax.device_put(params, shared), state)
-
-    return chunk
+    return functools.partial(program, training)
 
 
 def check_memory(needed: float, mesh: Mesh) -> None:

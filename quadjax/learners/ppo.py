@@ -2,16 +2,16 @@
 
 1. ``collect`` simulates all environments with sampled actions.
 2. ``td_lambda`` computes the targets of the value; the advantage is target minus value.
-3. ``run_epochs`` iterates over shuffled minibatches. ``_gradient_step`` takes one gradient step on
+3. ``run_epochs`` iterates over shuffled minibatches. ``gradient_step`` takes one gradient step on
    ``loss`` for each. It skips the step if the policy has moved too far.
 
-Of ``hyper``, a ``PPO``, floats are arrays here; ints, flags and None are static
-(``quadjax.core.traced``).
+Each is a method, which a subclass can override. The floats of ``self`` are arrays in them; ints,
+flags and None are static (``quadjax.core.traced``).
 """
 
 import dataclasses
 import functools
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 import chex
 import jax
@@ -19,15 +19,19 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from quadjax.core.environment import Environment
 from quadjax.core.mlp import Params
-from quadjax.core.sections import Field, Fraction, Positive, Unit, model_validator
-from quadjax.core.traced import register
+from quadjax.core.sections import Code, Field, Fraction, Positive, Unit, model_validator
+from quadjax.learners.learner import (
+    Count,
+    Discount,
+    Learner,
+    NumEnvs,
+    RewardScale,
+    check_divisor,
+)
 from quadjax.learners.networks import ActorCritic, mean_action, predict_value
 from quadjax.learners.rollout import (
     Steps,
-    Task,
-    bind,
     clip,
     descend,
     draw,
@@ -37,26 +41,27 @@ from quadjax.learners.rollout import (
     step_metrics,
     td_lambda,
 )
-from quadjax.learners.section import (
-    Count,
-    Discount,
-    LearnerSection,
-    NumEnvs,
-    RewardScale,
-    check_divisor,
-)
-from quadjax.learners.state import Learner, Metrics, TrainState
+from quadjax.learners.state import Metrics, Task, TrainState
 
 MAX_RESET_INTERVAL = 64  # steps between two draws of the states that episodes restart from
 EPSILON = 1e-5  # of Adam, as in Stable-Baselines3
 Carry = tuple[Params, optax.OptState]
 
 
-@register
-class PPO(LearnerSection):
+class Batch(struct.PyTreeNode):
+    """Steps to learn from; the leading axes are all batch."""
+
+    observation: jax.Array  # (..., observation_size)
+    action: jax.Array  # (..., actions), sampled, not clipped
+    log_prob: jax.Array  # (...) of the action under the policy that sampled it
+    advantage: jax.Array  # (...) over the value before the update
+    target: jax.Array  # (...) value target
+
+
+class PPO(Learner):
     """Proximal policy optimization (Schulman et al., 2017)."""
 
-    algorithm: Literal["ppo"] = Field("ppo", description="proximal policy optimization")
+    algorithm: Annotated[str, Code()] = Field("ppo", description="proximal policy optimization")
     num_envs: NumEnvs = 1024
     rollout_length: Annotated[Count, Unit("steps")] = Field(
         64, description="steps of each environment per update"
@@ -105,132 +110,123 @@ class PPO(LearnerSection):
         check_divisor("num_minibatches", self.num_minibatches, blocks, "blocks of an update")
         return self
 
-    def make(self, environment: Environment, network: ActorCritic, num_updates: int) -> Learner:
-        """The learner on an environment; see ``LearnerSection.make``."""
-        return bind(self, self.rollout_length, environment, network, _init, _update)
+    @property
+    def steps_per_update(self) -> int:
+        """Environment steps of one update."""
+        return self.num_envs * self.rollout_length
 
+    def init(self, task: Task, key: jax.Array) -> TrainState:
+        """The first state of a run."""
+        state = first_state(task, key, self.num_envs, self.initial_log_std)
+        return dataclasses.replace(state, optimizer=self.make_optimizer().init(state.params))
 
-def _init(task: Task, hyper: PPO, key: jax.Array) -> TrainState:
-    state = first_state(task, key, hyper.num_envs, hyper.initial_log_std)
-    return dataclasses.replace(state, optimizer=_optimizer(hyper).init(state.params))
+    def update(self, task: Task, state: TrainState) -> tuple[TrainState, Metrics]:
+        """Simulate, and learn from the steps in several epochs of minibatches."""
+        key, rollout_key, shuffle_key = jax.random.split(state.key, 3)
+        environment_state, (steps, log_prob) = self.collect(task, state, rollout_key)
+        # One time step after another: hidden layers of all steps at once would need much memory.
+        values = jax.lax.map(
+            lambda x: predict_value(task.network, state.params, x), steps.observation
+        )
+        target = td_lambda(steps, self.discount, self.gae_lambda, self.reward_scale)
+        batch = Batch(steps.observation, steps.action, log_prob, target - values, target)
+        step = functools.partial(self.gradient_step, task.network)
+        sizes = (self.num_epochs, self.num_minibatches, self.shuffle_block or self.rollout_length)
+        start = (state.params, state.optimizer)
+        (params, optimizer), metrics = run_epochs(step, start, batch, shuffle_key, *sizes)
+        following = state.following(environment_state, key, params=params, optimizer=optimizer)
+        return following, {
+            **jax.tree.map(jnp.mean, metrics),
+            **step_metrics(steps, jnp.mean(batch.advantage**2), target),
+            "kl_max": jnp.max(metrics["approx_kl"]),
+            "learning_rate": jnp.asarray(self.learning_rate),
+            "std": jnp.mean(jnp.exp(state.params["log_std"])),
+        }
 
+    def collect(
+        self, task: Task, state: TrainState, key: jax.Array
+    ) -> tuple[Any, tuple[Steps, jax.Array]]:
+        """Simulate ``rollout_length`` steps of every environment with sampled actions.
 
-def _update(task: Task, hyper: PPO, state: TrainState) -> tuple[TrainState, Metrics]:
-    key, rollout_key, shuffle_key = jax.random.split(state.key, 3)
-    environment_state, (steps, log_prob) = collect(task, hyper, state, rollout_key)
-    # One time step after another: hidden layers of all steps at once would need much memory.
-    values = jax.lax.map(lambda x: predict_value(task.network, state.params, x), steps.observation)
-    target = td_lambda(steps, hyper.discount, hyper.gae_lambda, hyper.reward_scale)
-    batch = Batch(steps.observation, steps.action, log_prob, target - values, target)
-    step = functools.partial(_gradient_step, task.network, hyper)
-    sizes = (hyper.num_epochs, hyper.num_minibatches, hyper.shuffle_block or hyper.rollout_length)
-    start = (state.params, state.optimizer)
-    (params, optimizer), metrics = run_epochs(step, start, batch, shuffle_key, *sizes)
-    following = state.following(environment_state, key, params=params, optimizer=optimizer)
-    return following, {
-        **jax.tree.map(jnp.mean, metrics),
-        **step_metrics(steps, jnp.mean(batch.advantage**2), target),
-        "kl_max": jnp.max(metrics["approx_kl"]),
-        "learning_rate": jnp.asarray(hyper.learning_rate),
-        "std": jnp.mean(jnp.exp(state.params["log_std"])),
-    }
+        The state that an environment restarts from is drawn once for at most
+        ``MAX_RESET_INTERVAL`` steps, because drawing it at every step takes longer than the
+        simulation. An environment whose episode ends twice within an interval restarts from the
+        same state.
 
+        Returns:
+            The environment states after the last step, reset where an episode ended; the steps,
+            and the log densities (time, n) of their actions.
+        """
+        total, params = self.rollout_length, state.params
+        length = max(d for d in range(1, min(total, MAX_RESET_INTERVAL) + 1) if total % d == 0)
+        shape = (length, self.num_envs, task.network.action_size)
 
-class Batch(struct.PyTreeNode):
-    """Steps to learn from; the leading axes are all batch."""
+        def interval(state: Any, key: jax.Array) -> tuple[Any, tuple[Steps, jax.Array]]:
+            fresh, noise = draw(task, key, shape)
+            deviation = jnp.broadcast_to(jnp.exp(params["log_std"]), shape) * noise
+            state, steps = rollout(task, params, params, state, fresh, deviation)
+            # The density of an action about its mean is that of its noise about zero.
+            return state, (steps, log_probability(deviation, jnp.zeros(shape), params["log_std"]))
 
-    observation: jax.Array  # (..., observation_size)
-    action: jax.Array  # (..., actions), sampled, not clipped
-    log_prob: jax.Array  # (...) of the action under the policy that sampled it
-    advantage: jax.Array  # (...) over the value before the update
-    target: jax.Array  # (...) value target
+        keys = jax.random.split(key, total // length)
+        environment_state, steps = jax.lax.scan(interval, state.environment, keys)
+        return environment_state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), steps)
 
+    def gradient_step(
+        self, network: ActorCritic, carry: Carry, batch: Batch
+    ) -> tuple[Carry, Metrics]:
+        """One step of Adam.
 
-def collect(
-    task: Task, hyper: PPO, state: TrainState, key: jax.Array
-) -> tuple[Any, tuple[Steps, jax.Array]]:
-    """Simulate ``rollout_length`` steps of every environment with sampled actions.
+        A minibatch whose KL divergence is above the limit or whose gradient is not finite changes
+        neither the policy nor the value.
+        """
+        gradient, metrics = jax.grad(self.loss, has_aux=True)(carry[0], network, batch)
+        critic = {"critic": gradient["critic"]}
+        policy = {name: x for name, x in gradient.items() if name not in critic}
+        norm = optax.tree.norm(policy if self.separate_grad_clip else gradient)
+        if self.separate_grad_clip:
+            gradient = clip(policy, self.max_grad_norm) | clip(critic, self.max_grad_norm)
+        else:
+            gradient = clip(gradient, self.max_grad_norm)
+        accepted = True if self.max_kl is None else metrics["approx_kl"] <= self.max_kl
+        carry, skipped = descend(self.make_optimizer(), gradient, carry, accepted)
+        return carry, metrics | {"gradient_norm": norm, "skipped": skipped}
 
-    The state that an environment restarts from is drawn once for at most ``MAX_RESET_INTERVAL``
-    steps, because drawing it at every step takes longer than the simulation. An environment whose
-    episode ends twice within an interval restarts from the same state.
+    def make_optimizer(self) -> optax.GradientTransformation:
+        """Adam, for policy and value."""
+        rate = jnp.asarray(self.learning_rate)
+        return optax.chain(optax.scale_by_adam(eps=EPSILON), optax.scale(-rate))
 
-    Returns:
-        The environment states after the last step, reset where an episode ended; the steps, and the
-        log densities (time, n) of their actions.
-    """
-    total, params = hyper.rollout_length, state.params
-    length = max(d for d in range(1, min(total, MAX_RESET_INTERVAL) + 1) if total % d == 0)
-    shape = (length, hyper.num_envs, task.network.action_size)
+    def loss(self, params: Params, network: ActorCritic, batch: Batch) -> tuple[jax.Array, Metrics]:
+        """PPO's loss () of one minibatch, and its parts (Schulman et al., 2017, eq. 7 and 9).
 
-    def interval(state: Any, key: jax.Array) -> tuple[Any, tuple[Steps, jax.Array]]:
-        fresh, noise = draw(task, key, shape)
-        deviation = jnp.broadcast_to(jnp.exp(params["log_std"]), shape) * noise
-        state, steps = rollout(task, params, params, state, fresh, deviation)
-        # The density of an action about its mean is that of its noise about zero.
-        return state, (steps, log_probability(deviation, jnp.zeros(shape), params["log_std"]))
-
-    keys = jax.random.split(key, total // length)
-    environment_state, steps = jax.lax.scan(interval, state.environment, keys)
-    return environment_state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), steps)
-
-
-def _gradient_step(
-    network: ActorCritic, hyper: PPO, carry: Carry, batch: Batch
-) -> tuple[Carry, Metrics]:
-    """One step of Adam.
-
-    A minibatch whose KL divergence is above the limit or whose gradient is not finite changes
-    neither the policy nor the value.
-    """
-    gradient, metrics = jax.grad(loss, has_aux=True)(carry[0], network, hyper, batch)
-    critic = {"critic": gradient["critic"]}
-    policy = {name: x for name, x in gradient.items() if name not in critic}
-    norm = optax.tree.norm(policy if hyper.separate_grad_clip else gradient)
-    if hyper.separate_grad_clip:
-        gradient = clip(policy, hyper.max_grad_norm) | clip(critic, hyper.max_grad_norm)
-    else:
-        gradient = clip(gradient, hyper.max_grad_norm)
-    accepted = True if hyper.max_kl is None else metrics["approx_kl"] <= hyper.max_kl
-    carry, skipped = descend(_optimizer(hyper), gradient, carry, accepted)
-    return carry, metrics | {"gradient_norm": norm, "skipped": skipped}
-
-
-def _optimizer(hyper: PPO) -> optax.GradientTransformation:
-    rate = jnp.asarray(hyper.learning_rate)
-    return optax.chain(optax.scale_by_adam(eps=EPSILON), optax.scale(-rate))
-
-
-def loss(
-    params: Params, network: ActorCritic, hyper: PPO, batch: Batch
-) -> tuple[jax.Array, Metrics]:
-    """PPO's loss () of one minibatch, and its parts (Schulman et al., 2017, eq. 7 and 9).
-
-    ``-mean(min(r A, clip(r, 1 - c, 1 + c) A)) + c_v mean((V - G)^2) - c_e H``, with ``r`` the
-    ratio of the new to the old probability density, ``A`` the advantage, normalized over the
-    minibatch (by its own standard deviation, without Bessel's correction), and ``G`` the value
-    target. ``approx_kl`` is the estimator ``mean((r - 1) - log r)`` of KL(old, new) (Schulman,
-    "Approximating KL divergence", 2020).
-    """
-    mean, log_std = mean_action(network, params, batch.observation), params["log_std"]
-    log_ratio = log_probability(batch.action, mean, log_std) - batch.log_prob
-    ratio = jnp.exp(log_ratio)
-    advantage = batch.advantage - jnp.mean(batch.advantage)
-    advantage = advantage / (jnp.std(batch.advantage) + 1e-8)
-    clipped = jnp.clip(ratio, 1.0 - hyper.clip_range, 1.0 + hyper.clip_range)
-    policy_loss = -jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
-    value = predict_value(network, params, batch.observation)
-    chex.assert_equal_shape([ratio, batch.advantage, value, batch.target])
-    value_loss = jnp.mean((value - batch.target) ** 2)
-    entropy = jnp.sum(log_std + 0.5 * jnp.log(2.0 * jnp.pi * jnp.e))
-    total = policy_loss + hyper.value_coefficient * value_loss - hyper.entropy_coefficient * entropy
-    return total, {
-        "policy_loss": policy_loss,
-        "value_loss": value_loss,
-        "entropy": entropy,
-        "approx_kl": jnp.mean((ratio - 1.0) - log_ratio),
-        "clip_fraction": jnp.mean((jnp.abs(ratio - 1.0) > hyper.clip_range).astype(ratio.dtype)),
-    }
+        ``-mean(min(r A, clip(r, 1 - c, 1 + c) A)) + c_v mean((V - G)^2) - c_e H``, with ``r`` the
+        ratio of the new to the old probability density, ``A`` the advantage, normalized over the
+        minibatch (by its own standard deviation, without Bessel's correction), and ``G`` the value
+        target. ``approx_kl`` is the estimator ``mean((r - 1) - log r)`` of KL(old, new) (Schulman,
+        "Approximating KL divergence", 2020).
+        """
+        mean, log_std = mean_action(network, params, batch.observation), params["log_std"]
+        log_ratio = log_probability(batch.action, mean, log_std) - batch.log_prob
+        ratio = jnp.exp(log_ratio)
+        advantage = batch.advantage - jnp.mean(batch.advantage)
+        advantage = advantage / (jnp.std(batch.advantage) + 1e-8)
+        clipped = jnp.clip(ratio, 1.0 - self.clip_range, 1.0 + self.clip_range)
+        policy_loss = -jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
+        value = predict_value(network, params, batch.observation)
+        chex.assert_equal_shape([ratio, batch.advantage, value, batch.target])
+        value_loss = jnp.mean((value - batch.target) ** 2)
+        entropy = jnp.sum(log_std + 0.5 * jnp.log(2.0 * jnp.pi * jnp.e))
+        total = (
+            policy_loss + self.value_coefficient * value_loss - self.entropy_coefficient * entropy
+        )
+        return total, {
+            "policy_loss": policy_loss,
+            "value_loss": value_loss,
+            "entropy": entropy,
+            "approx_kl": jnp.mean((ratio - 1.0) - log_ratio),
+            "clip_fraction": jnp.mean((jnp.abs(ratio - 1.0) > self.clip_range).astype(ratio.dtype)),
+        }
 
 
 def log_probability(action: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:

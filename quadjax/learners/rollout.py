@@ -1,7 +1,5 @@
 """What all learners share: rollouts, targets of the value, gradient steps on minibatches."""
 
-import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -11,14 +9,12 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from quadjax.core.environment import Environment, Vectorized, where_done
-from quadjax.core.errors import InputError
+from quadjax.core.environment import where_done
 from quadjax.core.gradients import Scalar
 from quadjax.core.mlp import Params
-from quadjax.core.traced import as_leaves
-from quadjax.learners.networks import ActorCritic, initial_params, mean_action, predict_value
+from quadjax.learners.networks import initial_params, mean_action, predict_value
 from quadjax.learners.parallel import AXIS, constrain
-from quadjax.learners.state import Learner, Metrics, TrainState, Update
+from quadjax.learners.state import Metrics, Task, TrainState
 
 Carry = TypeVar("Carry")
 Results = TypeVar("Results")
@@ -34,56 +30,6 @@ class Steps(struct.PyTreeNode):
     terminated: jax.Array  # (time, n) bool
     truncated: jax.Array  # (time, n) bool
     completed: jax.Array | None  # (time, n), where the environment reports it
-
-
-@dataclasses.dataclass(frozen=True)
-class Task:
-    """What a learner is bound to, and the present numbers of the environment."""
-
-    environment: Environment  # of many agents: states are batched along the last axis
-    network: ActorCritic
-    env_params: Any  # traced
-
-
-def bind(
-    section: Any,
-    length: int,
-    environment: Environment,
-    network: ActorCritic,
-    init: Callable[[Task, Any, jax.Array], TrainState],
-    update: Callable[[Task, Any, TrainState], tuple[TrainState, Metrics]],
-) -> Learner:
-    """The learner of a section, whose updates have a ``length`` of steps in ``num_envs`` agents.
-
-    ``init(task, hyper, key)`` and ``update(task, hyper, state)`` are those of the algorithm.
-    Learners of one algorithm with the same environment and network share their functions, which
-    JAX traces once.
-
-    Raises:
-        InputError: an environment that is not hashable.
-    """
-    try:
-        hash(environment)
-    except TypeError:
-        name = type(environment).__name__
-        raise InputError(f"{name} is not hashable, allowed: a frozen dataclass") from None
-    functions = _bound(environment, network, init, update)
-    return Learner(*functions, as_leaves(section), section.num_envs * length)
-
-
-@functools.lru_cache(maxsize=8)
-def _bound(
-    environment: Environment,
-    network: ActorCritic,
-    init: Callable[[Task, Any, jax.Array], TrainState],
-    update: Callable[[Task, Any, TrainState], tuple[TrainState, Metrics]],
-) -> tuple[Callable[[Any, Any, jax.Array], TrainState], Update]:
-    """``init`` and ``update`` of a learner."""
-    batched = Vectorized(environment)
-    return (
-        lambda hyper, params, key: init(Task(batched, network, params), hyper, key),
-        lambda hyper, params, state: update(Task(batched, network, params), hyper, state),
-    )
 
 
 def first_state(task: Task, key: jax.Array, num_envs: int, log_std: Scalar) -> TrainState:

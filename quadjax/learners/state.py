@@ -1,23 +1,47 @@
-"""The state of a training run, and the interface of a learner."""
+"""What a learner trains on, and the state of a training run."""
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import jax
 import optax
 from flax import struct
 
-from quadjax.core.mlp import Params as NetworkParams
+from quadjax.core.environment import Environment, Vectorized
+from quadjax.core.errors import InputError
+from quadjax.core.mlp import Params
+from quadjax.learners.networks import ActorCritic
 
-Params = TypeVar("Params")
 Metrics = dict[str, jax.Array]
+
+
+class Task(struct.PyTreeNode):
+    """What a learner trains: a network on an environment, whose numbers are traced."""
+
+    env_params: Any  # numbers of the environment
+    # Of many agents: states are batched along the last axis.
+    environment: Environment = struct.field(pytree_node=False)
+    network: ActorCritic = struct.field(pytree_node=False)
+
+    @classmethod
+    def of(cls, environment: Environment, network: ActorCritic, env_params: Any) -> "Task":
+        """The task of an environment of one agent.
+
+        Raises:
+            InputError: an environment that is not hashable.
+        """
+        try:
+            hash(environment)
+        except TypeError:
+            name = type(environment).__name__
+            raise InputError(f"{name} is not hashable, allowed: a frozen dataclass") from None
+        return cls(env_params, Vectorized(environment), network)
 
 
 class TrainState(struct.PyTreeNode):
     """Everything that a run needs to resume; a checkpoint holds all of it."""
 
-    params: NetworkParams  # of the ``ActorCritic``
+    params: Params  # of the ``ActorCritic``
     optimizer: optax.OptState
     target: Any  # parameters or None: slowly moving copy, whose value is the target critic
     environment: Any  # states of all environments, batched along the last axis
@@ -27,7 +51,7 @@ class TrainState(struct.PyTreeNode):
     level: Any = None  # () in [0, 1]: position of the schedules by ``pass_rate``, if there are any
 
     @property
-    def evaluated(self) -> NetworkParams:
+    def evaluated(self) -> Params:
         """The parameters to evaluate and to save: the moving average where there is one."""
         return self.params if self.ema is None else self.ema
 
@@ -35,23 +59,3 @@ class TrainState(struct.PyTreeNode):
         """The state after an update, with what it changes; all else stays."""
         counters = {"environment": environment, "key": key, "update": self.update + 1}
         return dataclasses.replace(self, **counters, **changes)
-
-
-Update = Callable[[Any, Any, TrainState], tuple[TrainState, Metrics]]
-
-
-@dataclasses.dataclass(frozen=True)
-class Learner(Generic[Params]):
-    """An algorithm bound to an environment: what the training loop runs.
-
-    ``init(hyper, environment_params, key)`` returns the first state of a run.
-    ``update(hyper, environment_params, state)`` does one update of all environments and returns the
-    next state and scalar metrics. Both are pure functions of whole arrays; ``hyper`` and
-    ``environment_params`` are traced. On several devices, ``TrainState.environment`` is split along
-    its last axis, and the compiler divides the work that depends on it.
-    """
-
-    init: Callable[[Any, Params, jax.Array], TrainState]
-    update: Update
-    hyper: Any  # pytree of hyperparameters
-    steps_per_update: int  # environment steps of one update, all environments together

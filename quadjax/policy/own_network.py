@@ -11,8 +11,8 @@ from flax import traverse_util
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite
+from quadjax.learners.learner import Network
 from quadjax.learners.networks import PARTS, ActorCritic, initial_params
-from quadjax.learners.section import Network
 
 
 @dataclasses.dataclass(frozen=True)

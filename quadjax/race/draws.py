@@ -4,7 +4,8 @@ The sections ``start``, ``disturbance`` and ``randomization`` of a config;
 ``quadjax.race.episode`` draws from them.
 """
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
 
 from quadjax.core.sections import ORDERED, Field, Section, Unit
 from quadjax.core.traced import register
@@ -90,6 +91,7 @@ class Disturbance(Section):
         return {key: value for key, value in self.__dict__.items() if key != "moment_bias"}
 
 
+@register
 class Randomization(Section):
     """Domain randomization: largest relative error of each constant, drawn in every episode.
 
@@ -143,12 +145,14 @@ class Randomization(Section):
         """Whether constants are drawn."""
         return any(v for key, v in self.__dict__.items() if key not in ("width", "tracks"))
 
-    def by_constant(self, model: VehicleModel) -> dict[str, float]:
-        """The fraction of each constant of a vehicle model."""
+    def by_constant(
+        self, model: VehicleModel, larger: Callable[[Any, Any], Any] = max
+    ) -> dict[str, Any]:
+        """The fraction of each constant of a vehicle model; of leaves, with ``jnp.maximum``."""
         fractions = dict.fromkeys(model.constant_names, 0.0)
         for group, names in model.groups.items():
             lowest = 0.0 if group == "gravity" else self.all
-            fractions |= dict.fromkeys(names, max(getattr(self, group, 0.0), lowest))
+            fractions |= dict.fromkeys(names, larger(getattr(self, group, 0.0), lowest))
         return {
             name: self.width * fraction for name, fraction in (fractions | self.constants).items()
         }

@@ -104,8 +104,9 @@ def _draw_constants(
     if not environment.randomize:
         return None if params.mismatch is None else constants
     if population is None:
-        return draw_constants(constants, params.randomization, numbers)
-    width, drone = params.population_width, environment.model.populations[population]
+        spread = params.randomization.by_constant(environment.model, jnp.maximum)
+        return draw_constants(constants, environment.model.make_constants(spread), numbers)
+    width, drone = params.randomization.width, environment.model.populations[population]
     return jax.tree.map(lambda x, y: x + width * (y - x), constants, drone(constants, numbers))
 
 

@@ -11,7 +11,7 @@ from flax import struct
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.draws import Disturbance, Start
+from quadjax.race.draws import Disturbance, Randomization, Start
 from quadjax.race.track import Gate, Track
 from quadjax.vehicle.battery import Battery, BatteryState
 from quadjax.vehicle.estimator import EstimatorParams, EstimatorState
@@ -40,10 +40,9 @@ class RaceParams(struct.PyTreeNode):
     training_limits: "TrainingLimits"
     start: Start
     disturbance: Disturbance
-    randomization: Constants  # largest relative error of each constant
+    randomization: Randomization
     tracks: Track | None = None  # random tracks, each leaf (tracks, gates); every episode draws one
     heading: jax.Array | None = None  # (gates,) rad, center of a start's yaw; None: north
-    population_width: jax.Array | None = None  # 0: the nominal drone; 1: one of the population
     mismatch: Constants | None = None  # factors on the constants of the simulated drone
     estimator: EstimatorParams | None = None  # where the observation is estimated
     battery: Battery | None = None  # where it limits the commands

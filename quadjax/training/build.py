@@ -1,6 +1,7 @@
 """From a config to a learner on the racing environment."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,16 +9,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.assembly import make_environment, make_params
+from quadjax.config.assembly import leaf_paths, make_environment, make_params
 from quadjax.config.scales import race_scales
 from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.mlp import Layers, Params, to_layers, to_params
+from quadjax.core.traced import as_leaves
 from quadjax.learners.loop import Plan
 from quadjax.learners.networks import PARTS, ActorCritic, initial_params
-from quadjax.learners.schedules import schedule_learner
-from quadjax.learners.state import Learner, TrainState
+from quadjax.learners.schedules import Training
+from quadjax.learners.state import Task, TrainState
 from quadjax.policy.file import Layers as FileLayers
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
@@ -73,26 +75,25 @@ def input_scale(config: Config) -> tuple[float, ...]:
     )
 
 
-def make_learner(config: Config) -> tuple[Learner[RaceParams], Plan]:
+def make_training(config: Config) -> tuple[Training, Plan]:
     """The learner of a config on the racing environment, with the schedules of the run.
 
     Returns:
-        The learner, and how the steps of the run are divided.
+        What the run repeats, and how its steps are divided.
 
     Raises:
-        InputError: a schedule of a key that changes no number, or more than numbers.
+        InputError: a schedule of a key that sets no number of the run.
     """
-    environment, network = training_environment(config), make_network(config)
-    steps, every, schedules = config.run.steps, config.run.evaluate_every, config.schedules
-    learner, plan = config.learner.planned(environment, network, steps, every)
-    scale = training_params(config).observation_scale  # not scheduled: the policy file has one
-
-    def numbers_at(key: str, value: float | None) -> tuple[Any, RaceParams]:
-        changed = config if value is None else config.at(key, value)
-        hyper = changed.learner.make(environment, network, plan.updates).hyper
-        return hyper, training_params(changed).replace(observation_scale=scale)
-
-    return schedule_learner(learner, schedules, numbers_at, plan, steps, config.curriculum), plan
+    params, network = training_params(config), make_network(config)
+    task = Task.of(training_environment(config), network, params)
+    plan = config.learner.plan(config.run.steps, config.run.evaluate_every)
+    return Training(as_leaves(config.learner), task).with_schedules(
+        config.schedules,
+        functools.partial(leaf_paths, config),
+        plan,
+        config.run.steps,
+        config.curriculum,
+    ), plan
 
 
 def training_params(config: Config) -> RaceParams:
@@ -106,14 +107,12 @@ def training_params(config: Config) -> RaceParams:
     return make_params(config).replace(observation_scale=factors)
 
 
-def start_state(
-    config: Config, learner: Learner, params: RaceParams, initial: Policy | None = None
-) -> TrainState:
+def start_state(config: Config, training: Training, initial: Policy | None = None) -> TrainState:
     """A run's first state, with the policy ``initial`` if there is one.
 
     The target and the moving average of the parameters, where there are any, start from it too.
     """
-    state = jax.jit(learner.init)(learner.hyper, params, jax.random.key(config.seed))
+    state = jax.jit(Training.init)(training, jax.random.key(config.seed))
     if initial is None:
         return state
     start = with_policy(state.params, initial, reward_scale(config), input_scale(config))

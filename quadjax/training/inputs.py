@@ -1,5 +1,7 @@
 """What a config names of the user's, checked: a residual, functions and a learner."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 
@@ -7,7 +9,8 @@ from quadjax.config.assembly import make_environment
 from quadjax.config.schema import Config
 from quadjax.core.errors import USER_ERRORS, InputError, user_error
 from quadjax.learners.parallel import repeat
-from quadjax.learners.state import Learner, TrainState
+from quadjax.learners.schedules import Training
+from quadjax.learners.state import TrainState
 from quadjax.race.types import RaceParams
 from quadjax.vehicle.residual import adds_nothing
 
@@ -43,7 +46,7 @@ def trace_race(config: Config, params: RaceParams) -> None:
     jax.eval_shape(environment.step, params, state, jnp.zeros(environment.action_size))
 
 
-def check_learner(config: Config, learner: Learner, params: RaceParams) -> TrainState:
+def check_learner(config: Config, training: Training) -> TrainState:
     """The shapes of a learner's state; two updates of a user's own code are traced.
 
     Raises:
@@ -53,9 +56,9 @@ def check_learner(config: Config, learner: Learner, params: RaceParams) -> Train
     name = f"network.module {module}" if module else f"learner.algorithm {algorithm}"
     user = module is not None or ":" in algorithm
     try:
-        shapes = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
+        shapes = jax.eval_shape(Training.init, training, jax.random.key(0))
         if user and isinstance(shapes, TrainState):
-            jax.eval_shape(repeat(learner.update, 2), learner.hyper, params, shapes)
+            jax.eval_shape(functools.partial(repeat, count=2), training, shapes)
     except InputError:
         raise
     except USER_ERRORS as error:

@@ -23,13 +23,13 @@ from quadjax.core.precision import single_precision
 from quadjax.learners import parallel
 from quadjax.learners.loop import Plan, Progress, Row, train_chunks
 from quadjax.learners.parallel import Chunk
-from quadjax.learners.state import Learner, TrainState
+from quadjax.learners.schedules import Training
+from quadjax.learners.state import TrainState
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
-from quadjax.race.types import RaceParams
 from quadjax.training.build import (
     initial_policy,
-    make_learner,
+    make_training,
     start_state,
     trained_policy,
     training_params,
@@ -110,8 +110,7 @@ class _Job:
     """The learner, environment and sizes of a run, prepared before anything is written."""
 
     config: Config
-    params: RaceParams
-    learner: Learner[RaceParams]
+    training: Training
     shapes: TrainState  # of the learner's state
     mesh: Mesh
     plan: Plan
@@ -123,12 +122,12 @@ def _prepare(config: Config) -> _Job:
     params = training_params(config)
     check_residual(config, params)
     check_functions(config, params)
-    learner, plan = make_learner(config)
-    shapes = check_learner(config, learner, params)
+    training, plan = make_training(config)
+    shapes = check_learner(config, training)
     mesh = parallel.choose_mesh(config.run.devices, shapes)
     if config.run.tensorboard:
         check_tensorboard()
-    return _Job(config, params, learner, shapes, mesh, plan, initial_policy(config))
+    return _Job(config, training, shapes, mesh, plan, initial_policy(config))
 
 
 def _run(
@@ -146,14 +145,14 @@ def _run(
         restored = checkpoints.restore(parallel.placed_shapes(job.shapes, job.mesh))
     elif resume and display is not None:
         display.note(f"{folder}: no checkpoint to resume from, starting a new run")
-    fly = make_flights(job.config, job.params)
+    fly = make_flights(job.config, job.training.task.env_params)
     chunk, first = _compile(job, fly, None if restored is None else restored.state, stop, display)
     run_state = restored or RunState(state=first, best=jax.device_get(first.evaluated))
     if restored is not None:
         started = time.monotonic() - restored.seconds
     metrics = MetricsFile(folder, run_state.steps, job.config.run.tensorboard)
     saved, advise_at = time.monotonic(), max(ADVISE_AFTER * job.plan.steps, FEW_STEPS)
-    chunks = train_chunks(chunk, job.params, run_state.state, job.plan, run_state.steps)
+    chunks = train_chunks(chunk, run_state.state, job.plan, run_state.steps)
     while not stop.is_set() and (progress := next(chunks, None)) is not None:
         laps = fly(progress.state.evaluated)
         run_state = run_state.after(progress, laps.score, time.monotonic() - started)
@@ -212,12 +211,12 @@ def _compile(
     The evaluation is compiled at the same time. Compilation and the check of the vehicle, which
     compiles a simulation, run in threads, so that the calling thread receives signals.
     """
-    learner, params, mesh = job.learner, job.params, job.mesh
+    training, mesh = job.training, job.mesh
 
     def begin() -> TrainState:
         if restored is not None:
             return restored
-        return parallel.place(start_state(job.config, learner, params, job.initial), mesh)
+        return parallel.place(start_state(job.config, training, job.initial), mesh)
 
     def warn(display: TrainingProgress) -> None:
         vehicle = job.config.vehicle
@@ -230,7 +229,7 @@ def _compile(
         warm_up = pool.submit(single_precision(lambda: fly(first.result().evaluated)))
         updates = job.plan.updates_per_chunk
         compile_chunk = single_precision(parallel.compile_chunk)
-        chunk = pool.submit(compile_chunk, learner, mesh, updates, params, job.shapes)
+        chunk = pool.submit(compile_chunk, training, mesh, updates, job.shapes)
         warned = [pool.submit(warn, display)] if display is not None else []
         _wait_for((chunk, warm_up, *warned), stop, display)
         return chunk.result(), first.result()

@@ -40,16 +40,18 @@ class Residual(struct.PyTreeNode):
     rpm_min: jax.Array  # rpm that enters as -1
     rpm_max: jax.Array  # rpm that enters as +1
     thrust_sign: jax.Array  # +1: added to the body-z specific force; -1: subtracted
+    gain: jax.Array | None = None  # factor on all outputs; None, as in files: 1
 
+    def with_gain_in_layers(self) -> "Residual":
+        """The same function without a gain."""
+        if (gain := self.gain) is None:
+            return self
 
-def scale_residual(residual: Residual, gain: jax.Array) -> Residual:
-    """The residual with its outputs multiplied by ``gain`` ()."""
+        def scale(params: Params) -> Params:
+            *hidden, (kernel, bias) = mlp.to_layers(params)
+            return mlp.to_params((*hidden, (gain * kernel, gain * bias)))
 
-    def scale(params: Params) -> Params:
-        *hidden, (kernel, bias) = mlp.to_layers(params)
-        return mlp.to_params((*hidden, (gain * kernel, gain * bias)))
-
-    return residual.replace(thrust=scale(residual.thrust), moment=scale(residual.moment))
+        return self.replace(thrust=scale(self.thrust), moment=scale(self.moment), gain=None)
 
 
 def adds_nothing(residual: Residual) -> bool:
@@ -67,6 +69,7 @@ def residual_force_moment(
         The addition to the body-z specific force (), m/s^2, sign already applied, and to the
         moments, N m.
     """
+    residual = residual.with_gain_in_layers()
     span = residual.rpm_max - residual.rpm_min
     scaled_rpm = 2.0 * (rpm.array() - residual.rpm_min) / span - 1.0
     thrust_inputs = jnp.concatenate([scaled_rpm, body_velocity.array()])
@@ -84,6 +87,7 @@ def write_residual(path: Path | str, residual: Residual, source: dict) -> None:
 def to_arrays(residual: Residual) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """A residual as the arrays and the numbers of a file."""
     arrays: dict[str, np.ndarray] = {}
+    residual = residual.with_gain_in_layers()
     for name in SHAPES:
         for index, (kernel, bias) in enumerate(mlp.to_layers(getattr(residual, name))):
             arrays[f"{name}_kernel_{index}"] = np.asarray(kernel, np.float32)

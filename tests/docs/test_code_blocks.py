@@ -33,13 +33,14 @@ from quadjax.export.verify import run as verification
 from quadjax.fitting import fit
 from quadjax.fitting import report as fit_report
 from quadjax.learners import parallel
+from quadjax.learners.networks import initial_params
+from quadjax.learners.schedules import Training
 from quadjax.limits import result as limit
 from quadjax.race.laps import Laps
 from quadjax.sil import run as sil
 from quadjax.sweeps import run as sweeps
 from quadjax.training import inputs
 from quadjax.training import run as training_run
-from quadjax.training.build import first_params, start_state
 from quadjax.training.checkpoint import Checkpoints
 from tests.commands import run
 from tests.docs.pages import GUIDE, ROOT, blocks_of, name_of
@@ -95,25 +96,25 @@ def folder(tmp_path, monkeypatch):
             del sys.modules[name]
 
 
-def first_state(config, learner, params, initial=None):
-    """As ``build.start_state``: the networks, and zeros for all else."""
+INIT = Training.init
+
+
+def first_state(training, key):
+    """As ``Training.init``: the networks, and zeros for all else."""
 
     def zeros(leaf):
         is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
         return jnp.broadcast_to(jax.random.key(0) if is_key else leaf.dtype.type(0), leaf.shape)
 
-    def begin(hyper, params, key):
-        state = jax.tree.map(zeros, jax.eval_shape(learner.init, hyper, params, key))
-        networks = first_params(config, 0)
-        copies = [name for name in ("params", "target", "ema") if getattr(state, name) is not None]
-        return dataclasses.replace(state, **dict.fromkeys(copies, networks))
-
-    return start_state(config, dataclasses.replace(learner, init=begin), params, initial)
+    state, task = jax.tree.map(zeros, jax.eval_shape(INIT, training, key)), training.task
+    networks = initial_params(task.network, jax.random.key(0), task.environment.observation_size)
+    copies = [name for name in ("params", "target", "ema") if getattr(state, name) is not None]
+    return dataclasses.replace(state, **dict.fromkeys(copies, networks))
 
 
-def unchanged(learner, mesh, updates, params, state):
+def unchanged(training, mesh, updates, state):
     """As ``parallel.compile_chunk``, of updates that change nothing."""
-    return lambda _, state: (state, {"reward": jnp.zeros(updates)})
+    return lambda state: (state, {"reward": jnp.zeros(updates)})
 
 
 def write_fitted(_, folder):
@@ -137,7 +138,7 @@ def in_this_process(command, **options):
 def train_nothing(monkeypatch):
     """Trainings from here on leave the policy as it begins."""
     monkeypatch.setattr(training_run, "check_functions", inputs.trace_race)
-    monkeypatch.setattr(training_run, "start_state", first_state)
+    monkeypatch.setattr(Training, "init", first_state)
     monkeypatch.setattr(parallel, "compile_chunk", unchanged)
     monkeypatch.setattr(Checkpoints, "save", lambda *_: None)
     monkeypatch.setattr(training_run, "make_flights", lambda *_: lambda networks: NO_LAPS)

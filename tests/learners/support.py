@@ -5,12 +5,13 @@ import functools
 import jax
 import numpy as np
 
-from quadjax.core.traced import as_leaves
+from quadjax.core.traced import as_leaves, with_leaves
 from quadjax.learners import parallel
 from quadjax.learners.networks import ActorCritic, mean_action, predict_value
 from quadjax.learners.ppo import PPO
+from quadjax.learners.schedules import Training
 from quadjax.learners.shac import SHAC
-from quadjax.learners.state import Learner
+from quadjax.learners.state import Task
 from tests.learners.probes import ENVIRONMENT, NETWORK
 
 UPDATES = 5  # of a chunk
@@ -49,18 +50,14 @@ def network_of(name: str) -> ActorCritic:
     return NETWORK.clone(clip_mean=DEFAULTS[name].noise_on == "clipped_mean")
 
 
-def make(name: str, **numbers: object) -> Learner:
-    return DEFAULTS[name].replace(**numbers).make(ENVIRONMENT, network_of(name), 150)
-
-
 @functools.cache
-def _program(name: str, devices: int):
-    """A chunk that takes its hyperparameters too: one program for every test."""
-    learner = make(name)
+def _program(devices: int):
+    """A chunk of any training: one program for every test of a learner and a number of devices."""
     # Compiled soon rather than well: these networks are tiny.
     quick = {"xla_backend_optimization_level": 0}
-    program = jax.jit(parallel.repeat(learner.update, UPDATES), compiler_options=quick)
-    return learner, parallel.make_mesh(devices), program
+    return parallel.make_mesh(devices), jax.jit(
+        parallel.repeat, static_argnums=2, compiler_options=quick
+    )
 
 
 class Run:
@@ -74,16 +71,24 @@ class Run:
         devices: int = 1,
         **numbers,
     ) -> None:
-        self.learner, self.mesh, self.program = _program(name, devices)
-        self.hyper = as_leaves(DEFAULTS[name].replace(**numbers))
-        self.params = params
-        state = jax.jit(self.learner.init)(self.hyper, params, jax.random.key(seed))
+        self.mesh, self.program = _program(devices)
+        task = Task.of(ENVIRONMENT, network_of(name), params)
+        self.training = Training(as_leaves(DEFAULTS[name].replace(**numbers)), task)
+        state = jax.jit(Training.init)(self.training, jax.random.key(seed))
         self.state = parallel.place(state, self.mesh)
+
+    def change(self, params: object = None, **numbers: object) -> None:
+        """Other numbers of the environment, or of the learner, which are not validated."""
+        training = self.training
+        task = training.task if params is None else training.task.replace(env_params=params)
+        self.training = training.replace(
+            task=task, learner=with_leaves(training.learner, **numbers)
+        )
 
     def train(self, chunks: int) -> dict[str, np.ndarray]:
         for _ in range(chunks):
             with jax.set_mesh(self.mesh):
-                self.state, metrics = self.program(self.hyper, self.params, self.state)
+                self.state, metrics = self.program(self.training, self.state, UPDATES)
         return {name: np.asarray(value) for name, value in metrics.items()}
 
     def mean(self, observation: np.ndarray) -> float:

@@ -8,6 +8,7 @@ import pytest
 
 from quadjax.learners import parallel
 from quadjax.learners.loop import NonFiniteError, check_finite
+from quadjax.learners.schedules import Training
 from tests.learners.probes import observations, probe
 from tests.learners.support import DEFAULTS, UPDATES, Run, plain
 
@@ -105,7 +106,7 @@ def test_a_batch_beyond_the_kl_limit_changes_nothing():
     begin = run.state
     assert 0 < run.train(1)["skipped"].mean() < 1  # some batches and not all
     assert changed(begin.params, run.state.params)
-    run.hyper = run.hyper.model_copy(update={"max_kl": jnp.float32(-1.0)})
+    run.change(max_kl=jnp.float32(-1.0))
     begin = run.state
     assert np.all(run.train(1)["skipped"] == 1)
     assert not changed((begin.params, begin.optimizer), (run.state.params, run.state.optimizer))
@@ -118,7 +119,7 @@ def test_what_is_not_finite_changes_no_parameter(name):
     run.train(1)
     before = run.state
     for bad in (np.nan, np.inf):
-        run.params = probe(best=bad)
+        run.change(probe(best=bad))
         metrics = run.train(1)
         for part in ("actor", "critic"):
             assert not changed(before.params[part], run.state.params[part])
@@ -131,11 +132,11 @@ def test_what_is_not_finite_changes_no_parameter(name):
 @pytest.mark.slow
 def test_the_moving_average_follows_the_parameters():
     run = Run("shac", probe(best=1.0))
-    update = jax.jit(run.learner.update, compiler_options={"xla_backend_optimization_level": 0})
-    first, _ = update(run.hyper, run.params, run.state)
+    update = jax.jit(Training.update, compiler_options={"xla_backend_optimization_level": 0})
+    first, _ = update(run.training, run.state)
     for rate, done, expected in ((1.0, 60, 1.0), (0.1, 60, 0.25), (0.1, 0, 1.0), (0.1, 999, 0.1)):
-        hyper = run.hyper.model_copy(update={"ema_rate": jnp.float32(rate)})
-        found, _ = update(hyper, run.params, first.replace(update=jnp.int32(done)))
+        run.change(ema_rate=jnp.float32(rate))
+        found, _ = update(run.training, first.replace(update=jnp.int32(done)))
         for name in ("actor", "critic"):
             three = (plain(x[name]) for x in (first.ema, found.params, found.ema))
             for old, new, average in zip(*three, strict=True):

@@ -8,15 +8,14 @@ from flax import linen as nn
 
 from quadjax.config.assembly import make_environment
 from quadjax.config.loading import load_config
-from quadjax.core.environment import Vectorized
 from quadjax.core.errors import InputError
-from quadjax.learners import parallel, ppo
 from quadjax.learners.loop import plan_chunks
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.parallel import choose_devices, core_count, prepare_devices
-from quadjax.learners.ppo import PPO, Batch, collect, loss
-from quadjax.learners.rollout import Steps, Task, _bound, clip, first_state, run_epochs, td_lambda
-from quadjax.learners.shac import SHAC, make_policy_optimizer, total_return
+from quadjax.learners.ppo import PPO, Batch
+from quadjax.learners.rollout import Steps, clip, first_state, run_epochs, td_lambda
+from quadjax.learners.shac import SHAC
+from quadjax.learners.state import Task
 from quadjax.training.build import training_environment
 from tests.learners.probes import ENVIRONMENT, NETWORK, probe
 
@@ -39,7 +38,7 @@ def test_a_step_of_muon_moves_all_directions_of_a_matrix_equally_far():
     draw, rate, beta = np.random.default_rng(0), 0.01, 0.9
     shapes = {"wide": (8, 20), "tall": (20, 8), "bias": (20,)}
     gradients = [{name: draw.normal(size=shape) for name, shape in shapes.items()} for _ in "12"]
-    optimizer = make_policy_optimizer(SHAC(optimizer="muon", adam_b1=0.7, adam_b2=0.95), rate)
+    optimizer = SHAC(optimizer="muon", adam_b1=0.7, adam_b2=0.95).make_policy_optimizer(rate)
     first, second = (jax.tree.map(np.float32, gradient) for gradient in gradients)
     _, state = optimizer.update(first, optimizer.init(first), first)
     step, _ = optimizer.update(second, state, first)
@@ -96,7 +95,7 @@ def test_the_return_of_short_horizons(steps):
     """What SHAC maximizes: discounting starts again after an end, values follow truncations."""
     reward, _, next_value, terminated, truncated = steps
     hyper = SHAC(discount=0.9, reward_scale=0.5)
-    found = total_return(Steps(None, None, reward, next_value, terminated, truncated, None), hyper)
+    found = hyper.total_return(Steps(None, None, reward, next_value, terminated, truncated, None))
     expected = 0.0
     for n in range(COUNT):
         gamma = 1.0
@@ -112,12 +111,12 @@ def test_the_return_of_short_horizons(steps):
 def test_states_that_episodes_restart_from_are_drawn_every_50_steps():
     """In episodes of one step, of which an environment begins each at the same place."""
     hyper, n = PPO(num_envs=8, rollout_length=150), 8
-    task = Task(Vectorized(ENVIRONMENT), NETWORK, probe(move=1.0))
+    task = Task.of(ENVIRONMENT, NETWORK, probe(move=1.0))
 
     @jax.jit
     def places(key):
         state = first_state(task, key, n, np.float32(0.0))
-        return collect(task, hyper, state, key)[1][0].observation[..., 2]
+        return hyper.collect(task, state, key)[1][0].observation[..., 2]
 
     drawn = np.asarray(places(jax.random.key(0)))[1:].T  # the first is of the state itself
     for one in drawn:
@@ -150,7 +149,7 @@ def test_the_loss_of_a_minibatch_follows_its_equation():
     old = now + 0.5 * old  # of the policy that sampled the actions
     params = {"actor": np.float32(0.9), "log_std": np.float32(log_std), "critic": np.float32(0.5)}
     batch = Batch(*map(np.float32, (observation, action, old, advantage, target)))
-    total, _ = loss(params, Proportional(2), hyper, batch)
+    total, _ = hyper.loss(params, Proportional(2), batch)
     ratio = np.exp(now - old)
     scaled = (advantage - advantage.mean()) / advantage.std()
     clipped = np.clip(ratio, 0.8, 1.2)
@@ -213,10 +212,8 @@ def test_equal_environments_share_their_updates():
         for x in ("seed=1", "track=figure8")
     )
     assert environment == other and hash(environment) == hash(other)
-    parts = NETWORK, ppo._init, ppo._update
-    first, second = (_bound(x, *parts)[1] for x in (environment, other))
-    assert first is second and parallel.repeat(first, 2) is parallel.repeat(second, 2)
-    assert parallel.repeat(first, 2) is not parallel.repeat(first, 3)
+    tasks = [Task.of(x, NETWORK, ()) for x in (environment, other)]
+    assert jax.tree.structure(tasks[0]) == jax.tree.structure(tasks[1])
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,11 @@ from flax.traverse_util import flatten_dict, unflatten_dict
 
 from quadjax.config.loading import load_config
 from quadjax.core.environment import Environment
-from quadjax.learners import ppo
+from quadjax.core.traced import as_leaves
 from quadjax.learners.networks import mean_action, predict_value
+from quadjax.learners.ppo import PPO, log_probability
 from quadjax.learners.rollout import Steps, td_lambda
+from quadjax.learners.state import Task
 
 TOLERANCE = 1e-5
 FILE = Path(__file__).with_name("sb3_update.npz")  # of ``python -m tests.learners.sb3_update``
@@ -82,26 +84,30 @@ def prepare(trace):
     return config.learner, config.network.make(trace["actions"].shape[-1])
 
 
-def update(trace, monkeypatch):
+def update(trace):
     """An update by quadjax on the rollout of a trace: what the trace has of every minibatch."""
-    section, network = prepare(trace)
-    rows, step = [], ppo._gradient_step
+    learner, network = prepare(trace)
+    rows, fed = [], rollout_of(trace, network)
 
-    def watched(*arguments):
-        carry, metrics = step(*arguments)
-        losses = {name: metrics[name] for name in ("policy_loss", "value_loss")}
-        seen = {"param": carry[0], "moment": carry[1][0].mu} | losses
-        jax.debug.callback(lambda x: rows.append(jax.tree.map(np.array, x)), seen, ordered=True)
-        return carry, metrics
+    class Watched(PPO):
+        """Learns from the steps of the trace, and keeps what each minibatch changes."""
 
-    monkeypatch.setattr(ppo, "_gradient_step", watched)
-    fed = rollout_of(trace, network)
-    monkeypatch.setattr(ppo, "collect", lambda task, hyper, state, key: (state.environment, fed))
+        def collect(self, task, state, key):
+            return state.environment, fed
+
+        def gradient_step(self, network, carry, batch):
+            carry, metrics = super().gradient_step(network, carry, batch)
+            losses = {name: metrics[name] for name in ("policy_loss", "value_loss")}
+            seen = {"param": carry[0], "moment": carry[1][0].mu} | losses
+            jax.debug.callback(lambda x: rows.append(jax.tree.map(np.array, x)), seen, ordered=True)
+            return carry, metrics
+
     size, count = trace["observation"].shape[-1], trace["actions"].shape[-1]
-    learner = section.make(Still(size, count), network, 1)
-    state = learner.init(learner.hyper, (), jax.random.key(0))
+    learner = as_leaves(Watched(**learner.model_dump()))
+    task = Task.of(Still(size, count), network, ())
+    state = learner.init(task, jax.random.key(0))
     state = dataclasses.replace(state, params=parameters(trace), key=jax.random.key(0))
-    learner.update(learner.hyper, (), state)
+    learner.update(task, state)
     jax.effects_barrier()
     found = jax.tree.map(lambda *x: np.stack(x), *rows)
     return flatten_dict(found, sep="/")
@@ -122,7 +128,7 @@ def test_log_densities_values_and_targets(trace):
     section, network = prepare(trace)
     params, (steps, _) = parameters(trace), rollout_of(trace, network)
     mean = mean_action(network, params, steps.observation)
-    density = ppo.log_probability(steps.action, mean, params["log_std"])
+    density = log_probability(steps.action, mean, params["log_std"])
     target = td_lambda(steps, jnp.float32(section.discount), jnp.float32(section.gae_lambda))
     value = predict_value(network, params, steps.observation)
     found = {"log_probs": density, "values": value, "returns": target}
@@ -133,7 +139,7 @@ def test_log_densities_values_and_targets(trace):
 def test_every_minibatch_with_the_standard_deviation_of_a_sample(trace, monkeypatch):
     """The single difference: quadjax divides advantages by that of the minibatch itself."""
     monkeypatch.setattr(jnp, "std", functools.partial(jnp.std, ddof=1))
-    found = update(trace, monkeypatch)
+    found = update(trace)
     for name in ("policy_loss", "value_loss"):
         np.testing.assert_allclose(found[name], trace[name], rtol=TOLERANCE, atol=TOLERANCE)
     assert np.max(differences(found, trace, "moment")) < TOLERANCE  # of clipped gradients
@@ -145,7 +151,7 @@ def test_every_minibatch_with_the_standard_deviation_of_a_sample(trace, monkeypa
     assert np.max(differences(changes, wanted, "param")) < 5e-4
 
 
-def test_every_minibatch_as_it_is(trace, monkeypatch):
-    found = update(trace, monkeypatch)
+def test_every_minibatch_as_it_is(trace):
+    found = update(trace)
     assert np.max(differences(found, trace, "param")) < TOLERANCE
     np.testing.assert_allclose(found["value_loss"], trace["value_loss"], rtol=TOLERANCE)

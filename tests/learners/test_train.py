@@ -14,10 +14,10 @@ import pytest
 from flax import linen as nn
 
 from quadjax.core.errors import InputError
+from quadjax.learners.learner import Learner, Network
 from quadjax.learners.networks import ActorCritic, initial_params, mean_action
 from quadjax.learners.schedules import Schedule
-from quadjax.learners.section import LearnerSection, Network
-from quadjax.learners.state import Learner, TrainState
+from quadjax.learners.state import TrainState
 from tests.learners.probes import ENVIRONMENT, ProbeEnvironment, observations, probe
 from tests.learners.support import DEFAULTS
 
@@ -89,7 +89,10 @@ class Constants(ActorCritic):
 
 WRONG = (
     ({"steps": 0}, "steps is 0, allowed: an integer, 1 "),
-    ({"schedules": {"learning_rat": [1.0, 0.0]}}, "learning_rat is neither a hyperparameter nor"),
+    (
+        {"schedules": {"learning_rat": [1.0, 0.0]}},
+        "learning_rat cannot be.*mean learning_rate",
+    ),
     ({"schedules": {"num_epochs": [2, 3]}}, "num_epochs cannot be scheduled"),
     ({"network": Constants}, "network is <class .*Constants.>, expected a Network or an ActorC"),
     ({"network": Constants(3)}, "network.action_size is 3, the environment takes 1"),
@@ -103,29 +106,31 @@ def test_wrong_arguments_are_one_line(arguments, message):
         DEFAULTS["ppo"].train(ENVIRONMENT, probe(), **arguments)
 
 
-class Ascent(LearnerSection):
+class Ascent(Learner):
     """Moves the last bias of the policy along the gradient of one step's reward."""
 
     num_envs: int = 4
 
-    def make(self, environment, network, num_updates):
-        def init(hyper, params, key):
-            weights = initial_params(network, key, environment.observation_size)
-            return TrainState(weights, (), None, (), key, jnp.int32(0))
+    @property
+    def steps_per_update(self):
+        return self.num_envs
 
-        def reward(weights, params, key):
-            state = environment.reset(params, key)
-            action = mean_action(network, weights, environment.observe(params, state))
-            return environment.step(params, state, action)[1]
+    def init(self, task, key):
+        weights = initial_params(task.network, key, task.environment.observation_size)
+        return TrainState(weights, (), None, (), key, jnp.int32(0))
 
-        def update(hyper, params, state):
-            keys = jax.random.split(state.key, self.num_envs)
-            slope = jax.vmap(jax.grad(reward), in_axes=(None, None, 0))(state.params, params, keys)
-            weights = jax.tree.map(lambda w, g: w + 0.1 * g.mean(axis=0), state.params, slope)
-            new = state.following((), keys[0], params=weights)
-            return new, {"reward": reward(weights, params, keys[0])}
+    def update(self, task, state):
+        def reward(weights):
+            start = task.environment.reset(task.env_params, keys)
+            seen = task.environment.observe(task.env_params, start)
+            action = mean_action(task.network, weights, seen)
+            return task.environment.step(task.env_params, start, action)[1].mean()
 
-        return Learner(init, update, {}, self.num_envs)
+        keys = jax.random.split(state.key, self.num_envs)
+        slope = jax.grad(reward)(state.params)
+        weights = jax.tree.map(lambda w, g: w + 0.1 * g, state.params, slope)
+        new = state.following((), keys[0], params=weights)
+        return new, {"reward": reward(weights)}
 
 
 @pytest.mark.parametrize("network", [NETWORK, Constants(1)], ids=["a perceptron", "own networks"])

@@ -5,8 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import quadjax
 from quadjax.config.assembly import make_params
 from quadjax.config.schema import Randomization
+from quadjax.core.traced import with_leaves
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.racing import A2RL
 from tests.race.support import compiled_reset, make_config, make_race
@@ -93,21 +95,26 @@ def test_population_of_all_racing_drones():
 
 def test_the_width_scales_every_draw():
     half = make_config("randomization={all: 0.2, lag: 0.4, constants: {k_w: 0.1}, width: 0.5}")
-    spread = make_params(half).randomization
-    found = [float(getattr(spread, name)) for name in ("k_w", "tau", "k_x")]
+    environment, params = quadjax.make_race(half)
+    spread = params.randomization.by_constant(environment.model, np.maximum)
+    found = [float(spread[name]) for name in ("k_w", "tau", "k_x")]
     assert found == pytest.approx([0.05, 0.2, 0.1])
     environment, params = make_race(*A2RL_RACE, "randomization.population=monorace_fastest")
     key, widths = jax.random.key(0), (0.0, 0.25, 1.0)
     none, some, whole = (
         compiled_reset(environment)(
-            params.replace(population_width=np.float32(width)), key, 4
+            params.replace(
+                randomization=with_leaves(params.randomization, width=np.float32(width))
+            ),
+            key,
+            4,
         ).constants.k_hor
         for width in widths
     )
     np.testing.assert_allclose(none, 7.245, rtol=1e-6)
     np.testing.assert_allclose(some, 0.75 * none + 0.25 * whole, rtol=1e-6)
-    assert np.ptp(whole) > 0.1 and float(params.population_width) == 1.0
+    assert np.ptp(whole) > 0.1 and float(params.randomization.width) == 1.0
     curriculum = "schedules.randomization.width={linear: [0, 1], until: 0.5}"
     config = make_config(*A2RL_RACE, "randomization.population=monorace_robust", curriculum)
-    assert float(make_params(config.at("randomization.width", 0.25)).population_width) == 0.25
+    assert float(make_params(config.at("randomization.width", 0.25)).randomization.width) == 0.25
     assert not Randomization(width=0.5).drawn and Randomization(lag=0.1).drawn

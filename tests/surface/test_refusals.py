@@ -82,7 +82,7 @@ limit gates.yaml | unknown key gates track=FILE
 show far.yaml | gates[0].position below rules.position_limit, 10 m {position_limit: 15}
 show e2e 'rules.bounds=[[-5, 5], [-5, 5], [-1, 0]]' | gates[0].position z rules.bounds, -1 to 0
 train e2e 'schedules.evaluate.laps={linear: [1, 2]}' | evaluate.laps key number
-train e2e 'schedules.run.checkpoint_seconds={linear: [value, 2]}' | checkpoint_seconds effect
+train e2e 'schedules.run.checkpoint_seconds={linear: [value, 2]}' | cannot be scheduled
 train e2e reward.gate=3 'schedules.reward.gate={linear: [3, 3]}' | reward.gate effect
 train 'e2e +fastest' 'learner.horizon=2 legs' | learner.horizon legs times
 train 'e2e +fastest' 'learner.discount=-1 leg times' | learner.discount -1 above 0

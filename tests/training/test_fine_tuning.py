@@ -16,10 +16,9 @@ from quadjax.policy.file import Policy
 from quadjax.race import episode
 from quadjax.training.build import (
     initial_policy,
-    make_learner,
+    make_training,
     policy_of,
     start_state,
-    training_params,
     untrained_policy,
 )
 from quadjax.training.fine_tuning import fine_tuning
@@ -89,11 +88,11 @@ def test_a_training_starts_with_the_commands_of_the_file(race, tmp_path, recwarn
     layers = tuple((k, 0.1 * random.normal(size=b.shape)) for k, b in policy.layers)
     dataclasses.replace(policy, layers=layers).save(path)
     config = make_config(*of_both, f"run.initial_policy={path}", *RACES[race])
-    (learner, _), params = make_learner(config), training_params(config)
+    run, _ = make_training(config)
     initial, file = initial_policy(config), Policy.load(path)
     warned = " ".join(str(each.message) for each in recwarn)
     assert bool(warned) == ("this race of [2500.0, 2500.0" in warned) == (race == "wider limits")
-    state = start_state(config, learner, params, initial)
+    state = start_state(config, run, initial)
     trained = policy_of(config, state.params)
     environment, own = make_race(first)
     drone = episode.hover_start(environment, own)

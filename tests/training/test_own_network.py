@@ -16,10 +16,9 @@ from quadjax.training import run as training
 from quadjax.training.build import (
     first_params,
     initial_policy,
-    make_learner,
+    make_training,
     policy_of,
     start_state,
-    training_params,
     with_policy,
 )
 from quadjax.training.fine_tuning import fine_tuning
@@ -115,8 +114,7 @@ def test_a_training_starts_from_its_parameters(tmp_path):
     params = first_params(config, 3)
     policy_of(config, params).save(file)
     tuned = config_of(f"run.initial_policy={file}")
-    (learner, _), race = make_learner(tuned), training_params(tuned)
-    state = start_state(tuned, learner, race, initial_policy(tuned))
+    state = start_state(tuned, make_training(tuned)[0], initial_policy(tuned))
     chex.assert_trees_all_equal(dict(state.params), dict(params))
     assert fine_tuning(config, file).run.initial_policy == str(file)
     scaled = config_of("learner.reward_scale=0.5")

@@ -9,15 +9,15 @@ import pytest
 from quadjax.config.assembly import make_race
 from quadjax.core.errors import InputError
 from quadjax.learners.networks import mean_action, predict_value
+from quadjax.learners.schedules import Training
 from quadjax.training.build import (
     first_params,
     input_scale,
-    make_learner,
     make_network,
+    make_training,
     policy_of,
     privileged_constants,
     training_environment,
-    training_params,
     with_policy,
 )
 from tests.race.support import make_config
@@ -77,7 +77,7 @@ def test_scheduled_draws_are_observed_only_where_there_is_a_width():
 @pytest.mark.parametrize("algorithm", ["ppo", pytest.param("shac", marks=pytest.mark.slow)])
 def test_both_learners_have_a_program_with_it(algorithm):
     config = make_config(*OWN, SMALL, f"learner.algorithm={algorithm}")
-    (learner, _), params = make_learner(config), training_params(config)
-    state = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
-    after, _ = jax.eval_shape(learner.update, learner.hyper, params, state)
+    training, _ = make_training(config)
+    state = jax.eval_shape(Training.init, training, jax.random.key(0))
+    after, _ = jax.eval_shape(Training.update, training, state)
     assert jax.tree.structure(after) == jax.tree.structure(state)

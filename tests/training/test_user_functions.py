@@ -3,14 +3,16 @@
 import sys
 
 import jax.numpy as jnp
+import numpy as np
 import optax
 import pytest
 
-from quadjax import Field, Learner, LearnerSection, TrainState
+import quadjax
+from quadjax import Field, Learner, TrainState
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.training.run import train
-from quadjax.vehicle.residual import read_residual, scale_residual, write_residual
+from quadjax.vehicle.residual import read_residual, write_residual
 from tests.commands import run
 from tests.race.support import BLANK
 
@@ -28,43 +30,56 @@ def attribute(step):
 THREE = Field("three", 1, "m", "world", value=lambda view: [0.0] * 3)
 
 
-def learner(init, update):
-    class Own(LearnerSection):
-        def make(self, environment, network, num_updates):
-            def begin(hyper, params, key):
-                w = network.init(key, jnp.zeros(environment.observation_size))["params"]
-                adam = optax.adam(1e-3).init(w)
-                return TrainState(w, adam, None, (), key, jnp.int32(0))
+class Own(Learner):
+    steps_per_update = property(lambda self: 64)
 
-            return Learner(init or begin, update, {}, 64)
-
-    return Own
+    def init(self, task, key):
+        w = task.network.init(key, jnp.zeros(task.environment.observation_size))["params"]
+        return TrainState(w, optax.adam(1e-3).init(w), None, (), key, jnp.int32(0))
 
 
-class NoLearner(LearnerSection):
-    def make(self, environment, network, num_updates):
-        return None
+class NoSteps(Own):
+    steps_per_update = property(lambda self: None)
 
 
-NO_STATE = learner(lambda hyper, params, key: 3, lambda hyper, params, state: state)
-NO_METRICS = learner(None, lambda hyper, params, state: (state,))
-LEAVES = learner(None, lambda hyper, params, state: sys.exit(3))
-DIVIDES = learner(None, lambda hyper, params, state: (state, {"reward": 1 / 0}))
+class NoUpdate(Own):
+    pass
+
+
+class NoState(Own):
+    def init(self, task, key):
+        return 3
+
+
+class NoMetrics(Own):
+    def update(self, task, state):
+        return (state,)
+
+
+class Leaves(Own):
+    def update(self, task, state):
+        sys.exit(3)
+
+
+class Divides(Own):
+    def update(self, task, state):
+        return state, {"reward": 1 / 0}
 
 
 WRONG = """
 reward.terms={OWN:vector: 1.0} | reward term OWN:vector gives an array of shape (4,), expected one
 reward.terms={OWN:attribute: 1.0} | OWN:attribute: AttributeError: 'Step' object has no attribute 'n
 rules.extra=['sys:exit'] | rule sys:exit: SystemExit:
-learner.algorithm=OWN:LEAVES | learner.algorithm OWN:LEAVES: SystemExit: 3 (
+learner.algorithm=OWN:Leaves | learner.algorithm OWN:Leaves: SystemExit: 3 (
 observation.extra=['OWN:THREE'] | field 'three' gives 3 numbers, expected one number (its size)
 observation.extra=['OWN:vector'] | OWN:vector is a function, expected a quadjax.Field
-learner.algorithm=OWN:NoLearner | make() gives a NoneType, expected a quadjax.L
-learner.algorithm=OWN:NO_STATE | NO_STATE: init gives ShapeDtypeStruct(
-learner.algorithm=OWN:NO_METRICS | learner.algorithm OWN:NO_METRICS:
+learner.algorithm=OWN:NoSteps | steps_per_update of NoSteps is None, allowed: an integer, 1 to
+learner.algorithm=OWN:NoUpdate | learner.algorithm OWN:NoUpdate: NotImplementedError
+learner.algorithm=OWN:NoState | NoState: init gives ShapeDtypeStruct(
+learner.algorithm=OWN:NoMetrics | learner.algorithm OWN:NoMetrics:
 run.initial_policy=none.npz | none.npz
 vehicle.residual=none.npz | none.npz
-learner.algorithm=OWN:DIVIDES | OWN:DIVIDES: ZeroDivisionError: division
+learner.algorithm=OWN:Divides | OWN:Divides: ZeroDivisionError: division
 """.strip().splitlines()
 
 
@@ -80,9 +95,10 @@ def test_a_mistake_is_one_line_before_the_folder_exists(row, tmp_path):
 
 def test_an_error_of_a_users_learner_keeps_its_traceback(tmp_path, monkeypatch):
     (tmp_path / "late.py").write_text(
-        "from quadjax import LearnerSection\n\n\n"
-        "class Late(LearnerSection):\n"
-        "    def make(self, environment, networks, num_updates):\n"
+        "from quadjax import Learner\n\n\n"
+        "class Late(Learner):\n"
+        "    @property\n"
+        "    def steps_per_update(self):\n"
         "        return undefined\n"
     )
     monkeypatch.chdir(tmp_path)
@@ -91,9 +107,25 @@ def test_an_error_of_a_users_learner_keeps_its_traceback(tmp_path, monkeypatch):
 
 
 def test_a_residual_of_zeros_says_how_to_train_without_it(tmp_path):
-    zero = scale_residual(read_residual("standin_residual.npz"), 0.0)
+    zero = read_residual("standin_residual.npz").replace(gain=np.float32(0.0))
     write_residual(path := tmp_path / "residual.npz", zero, {})
     config = load_config("e2e +residual", [*SMALL, f"vehicle.residual={path}"])
     with pytest.raises(InputError, match="residual.npz adds nothing.*leave out"):
         train(config, tmp_path / "run", progress=False)
     assert not (tmp_path / "run").exists()
+
+
+class Stage(quadjax.SHAC):
+    extra: float = 0.5
+
+
+def test_a_stage_of_a_learner_keeps_the_hyperparameters_of_the_preset():
+    name = f"{__name__}:Stage"
+    config, preset = load_config("e2e", [f"learner.algorithm={name}"]), load_config("e2e")
+    assert isinstance(config.learner, Stage) and config.learner.algorithm == name
+    assert config.schedules == preset.schedules
+    assert config.learner.model_dump(exclude={"algorithm", "extra"}) == preset.learner.model_dump(
+        exclude={"algorithm"}
+    )
+    other = load_config("e2e_ppo", [f"learner.algorithm={name}"])
+    assert other.learner == Stage(algorithm=name)

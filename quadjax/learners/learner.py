@@ -1,4 +1,4 @@
-"""The base class of the learners, which trains on any environment; the section of the networks."""
+"""The base class of learners, which trains on any environment; the section of the networks."""
 
 import dataclasses
 import time
@@ -6,11 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.environment import Environment
-from quadjax.core.errors import InputError, close_match
+from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
 from quadjax.core.mlp import Params
 from quadjax.core.precision import single_precision
@@ -24,11 +23,12 @@ from quadjax.core.sections import (
     check_integer,
     validate,
 )
+from quadjax.core.traced import as_leaves, register
 from quadjax.learners.loop import Plan, Row, plan_chunks, train_chunks
 from quadjax.learners.networks import ActorCritic, mean_action
 from quadjax.learners.parallel import choose_mesh, compile_chunk, place
-from quadjax.learners.schedules import Schedule, schedule_learner
-from quadjax.learners.state import Learner
+from quadjax.learners.schedules import Schedule, Training
+from quadjax.learners.state import Metrics, Task, TrainState
 
 CHUNKS = 20  # of a run, about: how often progress is reported
 MAX_ENVS = 1_000_000
@@ -99,11 +99,15 @@ class TrainResult:
     steps: int  # environment steps done
 
 
-class LearnerSection(Section):
-    """Hyperparameters of a learner, which make the learner and train it.
+class Learner(Section):
+    """The base class of learning algorithms: fields are hyperparameters, methods the algorithm.
 
-    Fields of ``float`` or ``float | None`` are traced: other numbers do not trigger recompilation,
-    and schedules can change them. All others fix shapes or code, and so does None.
+    A learner is a pytree. In ``init`` and ``update``, its fields of ``float`` or ``float | None``
+    are arrays: other numbers do not trigger recompilation, and schedules can change them. All
+    others fix shapes or code, and so does None.
+
+    Both methods are pure functions of whole arrays. On several devices, ``TrainState.environment``
+    is split along its last axis, and the compiler divides the work that depends on it.
     """
 
     if TYPE_CHECKING:
@@ -121,27 +125,33 @@ class LearnerSection(Section):
         "", description="ppo, shac, or module:Class of a learner of your own"
     )
 
-    def make(self, environment: Environment, network: ActorCritic, num_updates: int) -> Learner:
-        """The learner on an environment of one agent, for a number of updates."""
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        """Every learner is a pytree."""
+        register(cls)
+
+    @property
+    def steps_per_update(self) -> int:
+        """Environment steps of one update, of all environments together."""
         raise NotImplementedError
 
-    def planned(
-        self, environment: Environment, network: ActorCritic, steps: int, steps_per_chunk: int
-    ) -> tuple[Learner, Plan]:
-        """The learner for a run of a number of environment steps, and how these are divided.
+    def init(self, task: Task, key: jax.Array) -> TrainState:
+        """The first state of a run."""
+        raise NotImplementedError
+
+    def update(self, task: Task, state: TrainState) -> tuple[TrainState, Metrics]:
+        """The state after one update of all environments, and scalar metrics."""
+        raise NotImplementedError
+
+    def plan(self, steps: int, steps_per_chunk: int) -> Plan:
+        """How a run of a number of environment steps is divided.
 
         Raises:
-            InputError: ``make`` returns no learner.
+            InputError: ``steps_per_update`` is no positive integer.
         """
-        # Made for one update, to read the steps of an update: the number of updates follows.
-        first = self.make(environment, network, 1)
-        if not isinstance(first, Learner):
-            raise InputError(
-                f"learner.algorithm {self.algorithm}: make() gives a {type(first).__name__}, "
-                "expected a quadjax.Learner"
-            )
-        plan = plan_chunks(steps, steps_per_chunk, first.steps_per_update)
-        return self.make(environment, network, plan.updates), plan
+        size = self.steps_per_update
+        check_integer(f"steps_per_update of {type(self).__name__}", size, 1, 10**12)
+        return plan_chunks(steps, steps_per_chunk, size)
 
     @single_precision
     def train(
@@ -181,27 +191,17 @@ class LearnerSection(Section):
         check_integer("steps", steps, 1, 10**12)
         check_integer("seed", seed, 0, MAX_SEED)
         network = self._network(environment, network)
-        learner, plan = self.planned(environment, network, steps, max(1, steps // CHUNKS))
-
-        def numbers_at(key: str, value: float | None) -> tuple[Any, Any]:
-            name = key.removeprefix("learner.")
-            if name in type(self).model_fields:
-                changed = self if value is None else self.replace(**{name: value})
-                return changed.make(environment, network, plan.updates).hyper, params
-            return learner.hyper, _with_leaf(params, key, value)
-
-        sections = {
-            key: x if isinstance(x, Schedule) else validate(Schedule, {"linear": [*x]}, key)
-            for key, x in (schedules or {}).items()
-        }
-        learner = schedule_learner(learner, sections, numbers_at, plan, steps)
-        state = jax.jit(learner.init)(learner.hyper, params, jax.random.key(seed))
+        plan = self.plan(steps, max(1, steps // CHUNKS))
+        training = Training(as_leaves(self), Task.of(environment, network, params))
+        chosen = self._checked(schedules or {})
+        training = training.with_schedules(chosen, self._paths, plan, steps)
+        state = jax.jit(Training.init)(training, jax.random.key(seed))
         mesh = choose_mesh("auto", state)
         state = place(state, mesh)
-        chunk = compile_chunk(learner, mesh, plan.updates_per_chunk, params, state)
+        chunk = compile_chunk(training, mesh, plan.updates_per_chunk, state)
         history: list[dict[str, np.ndarray]] = []
         started = time.monotonic()
-        for latest in train_chunks(chunk, params, state, plan):
+        for latest in train_chunks(chunk, state, plan):
             state = latest.state
             history.append(latest.metrics)
             if progress is not None:
@@ -215,6 +215,24 @@ class LearnerSection(Section):
             metrics={name: np.concatenate([h[name] for h in history]) for name in history[0]},
             steps=plan.steps,
         )
+
+    def _checked(self, schedules: Schedules) -> dict[str, Schedule]:
+        """Schedules by key, whose values of hyperparameters are allowed."""
+        made = {
+            key: x if isinstance(x, Schedule) else validate(Schedule, {"linear": [*x]}, key)
+            for key, x in schedules.items()
+        }
+        for key, schedule in made.items():
+            name = key.removeprefix("learner.")
+            if name in type(self).model_fields:
+                for value in schedule.linear:
+                    self.replace(**({} if value == "value" else {name: value}))
+        return made
+
+    def _paths(self, key: str) -> tuple[str, ...]:
+        """The path of the number of a key: a hyperparameter, or one of the environment."""
+        name = key.removeprefix("learner.")
+        return (f"learner.{name}" if name in type(self).model_fields else f"params.{key}",)
 
     def _network(
         self, environment: Environment, network: Network | ActorCritic | None
@@ -230,20 +248,6 @@ class LearnerSection(Section):
                 f"{environment.action_size}"
             )
         return network.clone(clip_mean=self.noise_on == "clipped_mean")
-
-
-def _with_leaf(params: Any, key: str, value: float | None) -> Any:
-    """The environment's parameters with another value of the leaf at a dotted path."""
-    leaves = dict(jax.tree_util.tree_leaves_with_path(params))
-    paths = {jax.tree_util.keystr(path, simple=True, separator="."): path for path in leaves}
-    if key not in paths:
-        raise InputError(
-            f"schedules: {key} is neither a hyperparameter nor a number of the environment's params"
-            f"{close_match(key, list(paths))}"
-        )
-    if value is not None:
-        leaves[paths[key]] = jnp.full_like(leaves[paths[key]], value)
-    return jax.tree.unflatten(jax.tree.structure(params), leaves.values())
 
 
 def check_divisor(name: str, value: int, total: int, of: str) -> None:
