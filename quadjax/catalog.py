@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.config.layers import OVERRIDES, file_values
-from quadjax.config.loading import load_config
+from quadjax.config.loading import load_config, load_with_units
 from quadjax.config.reference import commented_yaml
 from quadjax.config.reference import describe as keys_of
 from quadjax.config.schema import Config
@@ -113,8 +113,11 @@ def text_of(what: str, overrides: Sequence[str] = (), model_name: str | None = N
     """
     kind = "vehicle" if model_name else kind_of(what)
     if kind in SCHEMAS:
-        _, load = SCHEMAS[kind]
-        return commented_yaml(load(what, overrides)).rstrip("\n")
+        if kind == "config":
+            text = commented_yaml(*load_with_units(what, overrides))
+        else:
+            text = commented_yaml(SCHEMAS[kind][1](what, overrides))
+        return text.rstrip("\n")
     if overrides:
         raise InputError(
             f"{overrides[0]}: {what} is a {kind}; overrides change configs, plants and fit configs"

@@ -8,7 +8,7 @@ from typing import Any
 
 from quadjax.config.checks import check
 from quadjax.config.layers import LEARNERS, config_layers, override_layers, without_replaced
-from quadjax.config.scales import in_plain_units
+from quadjax.config.scales import WithUnit, in_plain_units
 from quadjax.config.schema import Config, Rules, Vehicle
 from quadjax.core.errors import InputError, close_match, prefixed
 from quadjax.core.imports import load_object
@@ -58,6 +58,13 @@ def load_config(
     Raises:
         InputError: one line that names the file, the key, the value and what is allowed.
     """
+    return load_with_units(config, overrides, code=code)[0]
+
+
+def load_with_units(
+    config: Path | str, overrides: Sequence[str] = (), *, code: Collection[str] | None = None
+) -> tuple[Config, WithUnit]:
+    """As ``load_config``, with the numbers that are in units of the race in the files."""
     name, *words = [str(config)] if os.path.exists(config) else WORDS.split(str(config))
     words = [*words, *overrides]
     path = find_config(name)
@@ -70,8 +77,7 @@ def load_config(
     for key, file in list(sources.files.items()):
         if key.startswith("vehicle.models."):  # where constants are until the model is known
             sources.files.setdefault(f"vehicle.constants.{key.rpartition('.')[2]}", file)
-    tree = _with_opening(generated(tree, sources), sources)
-    return config_of(tree, sources)
+    return _config_of(_with_opening(generated(tree, sources), sources), sources)
 
 
 load = load_config  # its name in the public interface
@@ -85,7 +91,8 @@ def with_track(config: Config, file: str) -> Config:
     Raises:
         InputError: a file that cannot be read, or a track that does not fit the config.
     """
-    layers = [("config", config.to_tree()), *override_layers([f"track.file={file}"], Path())]
+    whole = config.model_dump(mode="json", by_alias=True)
+    layers = [("config", whole), *override_layers([f"track.file={file}"], Path())]
     tree, sources = merge_layers(layers, "config", without_replaced)
     if tree["track"].get("closed") is False:
         tree["evaluate"] |= {"laps": 1, "gates": None}
@@ -144,13 +151,17 @@ def config_of(tree: Tree, source: str | Sources) -> Config:
     """The config of a complete tree, such as the one in a policy file.
 
     Args:
-        tree: plain values, as ``Config.to_tree`` gives them: numbers may have units of the race.
-            Keys that have a default may be missing.
+        tree: plain values, as in a file. Keys that have a default may be missing.
         source: the file of the tree, or of each value, for messages.
 
     Raises:
         InputError: a key or a value that is not allowed.
     """
+    return _config_of(tree, source)[0]
+
+
+def _config_of(tree: Tree, source: str | Sources) -> tuple[Config, WithUnit]:
+    """The config of a complete tree, and its numbers in units of the race."""
     with one_line_errors(source):
         schema = _learner_schema(tree.get("learner", {}))
         vehicle = validate(Vehicle, tree.get("vehicle", {}), source, prefix="vehicle.")
@@ -163,7 +174,7 @@ def config_of(tree: Tree, source: str | Sources) -> Config:
         tree = {**tree, "learner": learner, "schedules": schedules}
         config = validate(Config, tree, source)
         check(config)
-    return config.with_race_units(written)
+    return config, written
 
 
 def _null_is_off(tree: Tree) -> Tree:

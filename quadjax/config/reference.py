@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
+from quadjax.config.scales import Location, WithUnit
 from quadjax.config.schema import Config
 from quadjax.core.section_keys import is_section
 from quadjax.core.sections import Section
@@ -74,14 +75,26 @@ def _number(bound: Any) -> str:
     return text.replace("e+0", "e").replace("e+", "e") if exact else str(bound)
 
 
-def commented_yaml(config: Section) -> str:
-    """A config of any kind as YAML with the description of each key on the line above it."""
-    tree, keys, units = config.model_dump(by_alias=True), describe(type(config)), {}
+def commented_yaml(config: Section, units: WithUnit | None = None) -> str:
+    """A config of any kind as YAML with the description of each key on the line above it.
+
+    Numbers of ``units`` are written with their unit of the race, as in the files of the config.
+    """
+    tree, keys, units = config.model_dump(by_alias=True), describe(type(config)), units or {}
+    tree = _written(tree, (), units)
     if isinstance(config, Config):
-        tree, units = config.to_tree(), config.race_units
         keys += describe(type(config.learner), "learner.")
     comments = {info.key: f"{info.description} [{info.allowed}]" for info in keys}
     for location, (text, number) in units.items():
         key = ".".join(step for step in location if isinstance(step, str))
         comments[key] = f"{comments.get(key, '')} {text}: {number:g}".lstrip()
     return to_yaml(tree, comments)
+
+
+def _written(node: Any, location: Location, units: WithUnit) -> Any:
+    """A tree with the text of each number that has a unit of the race."""
+    if isinstance(node, dict):
+        return {key: _written(value, (*location, key), units) for key, value in node.items()}
+    if isinstance(node, (list, tuple)):
+        return [_written(item, (*location, index), units) for index, item in enumerate(node)]
+    return units[location][0] if location in units else node

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.config.schema import Config, Location, Rules, Vehicle, WithUnit
+from quadjax.config.schema import Config, Rules, Vehicle
 from quadjax.core.section_keys import dotted, fields_at
 from quadjax.core.sections import LARGEST, BadValue, Section, refuse, unit_of, validate
 from quadjax.core.yaml_files import Tree
@@ -24,6 +24,8 @@ GRAVITY = 9.81
 LEAST_RATIO = 1.05  # of thrust to weight: a drone below it hardly accelerates sideways
 SHORTEST = 0.01  # m, of a leg
 ENVS_MULTIPLE = 8
+Location = tuple[str | int, ...]  # of a value in a tree: keys, and indices of lists
+WithUnit = dict[Location, tuple[str, float | int]]  # numbers in units of the race: text, number
 _WITH_UNIT = re.compile(
     r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s+(?P<unit>[^\s\d].*?)\s*"
 )

@@ -4,10 +4,9 @@ Lengths are in m, velocities in m/s, angles in deg where the name says so and in
 world frame is north-east-down, the body frame front-right-down.
 """
 
-from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import PrivateAttr, SerializeAsAny
+from pydantic import SerializeAsAny
 
 from quadjax.core.errors import InputError
 from quadjax.core.section_keys import with_value
@@ -37,13 +36,11 @@ from quadjax.vehicle.battery import BatteryConfig
 Constant = Annotated[float, Field(ge=-1e9, le=1e9)]
 Delay = Annotated[float, Field(ge=0, le=0.1)]
 Devices = Annotated[int, Field(ge=1, le=4096)]
-Location = tuple[str | int, ...]  # of a value in a tree: keys, and indices of lists
 SCORE_NAMES = {  # columns of metrics.csv, by ``run.score``
     "mean": "lap_total",
     "sampled": "lap_total",
     "reward": "episode_reward",
 }
-WithUnit = dict[Location, tuple[str, float | int]]  # numbers in units of the race: text, number
 
 
 class Vehicle(Section):
@@ -226,51 +223,11 @@ class Config(Section):
     )
     run: Run = Run()
     evaluate: Evaluate = Evaluate()
-    _race_units: WithUnit = PrivateAttr({})
-
-    def __eq__(self, other: object) -> bool:
-        """Whether all values are equal, however they are written."""
-        return isinstance(other, Config) and self.__dict__ == other.__dict__
 
     def at(self, key: str, value: Any) -> Self:
         """The config with another value at a dotted key; see ``with_value``."""
         return with_value(self, key, value)
 
-    def with_values(self, changes: Mapping[str, object], prefix: str = "") -> Self:
-        """A changed copy, as of ``Section``; it keeps its units if the race has the same."""
-        copy = super().with_values(changes, prefix)
-        return copy.with_race_units(self._race_units) if copy._scale == self._scale else copy
-
-    @property
-    def _scale(self) -> tuple[Any, ...]:
-        """What the units of the race depend on."""
-        return self.track, self.vehicle.model, self.vehicle.constants, self.rules.time_step
-
-    def with_race_units(self, numbers: WithUnit) -> Self:
-        """The config, whose file has these numbers in units of the race."""
-        copy = self.model_copy()
-        copy._race_units = numbers
-        return copy
-
-    @property
-    def race_units(self) -> WithUnit:
-        """The numbers that the config's file has in units of the race."""
-        return self._race_units
-
-    def to_tree(self) -> dict[str, Any]:
-        """The whole config as plain values, numbers in units of the race as text."""
-        return _written(self.model_dump(by_alias=True), (), self._race_units)
-
     def to_yaml(self) -> str:
         """The whole config as YAML, which ``load`` reads back without any other file."""
-        return to_yaml(self.to_tree())
-
-
-def _written(node: Any, location: Location, numbers: WithUnit) -> Any:
-    """A tree with the text of each number in units of the race that has still the same value."""
-    if isinstance(node, dict):
-        return {key: _written(value, (*location, key), numbers) for key, value in node.items()}
-    if isinstance(node, (list, tuple)):
-        return [_written(item, (*location, index), numbers) for index, item in enumerate(node)]
-    text, number = numbers.get(location, (None, None))
-    return node if text is None or node != number else text
+        return to_yaml(self.model_dump(by_alias=True))

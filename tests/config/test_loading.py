@@ -354,7 +354,7 @@ def test_a_number_without_an_effect_at_0_is_null_there(key):
     zero, null = (load_config("e2e", [f"{key}={value}"]) for value in (0, "null"))
     assert zero == null == load_config("e2e")
     section, name = key.split(".")
-    tree = null.to_tree()
+    tree = null.model_dump(by_alias=True)
     tree[section][name] = 0.0
     assert config_of(tree, "file") == null
 

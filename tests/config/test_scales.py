@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.config.loading import load_config
+from quadjax.config.loading import load_config, load_with_units
 from quadjax.config.reference import commented_yaml
 from quadjax.config.scales import race_scales
 from quadjax.core.errors import InputError
@@ -61,25 +61,23 @@ def test_numbers_with_a_unit_become_plain_numbers():
     assert decays == pytest.approx([math.exp(-0.01 / time), math.exp(-0.005 / time)])
 
 
-def test_a_saved_config_keeps_its_units(tmp_path):
-    """On another track its numbers are those of the preset there; an edited number stays."""
+def test_a_saved_config_has_plain_numbers(tmp_path):
+    """They stay what they are on another track."""
     saved, over = tmp_path / "config.yaml", ["track=split_s", "rules.position_limit=null"]
-    first = load_config("e2e_race", ["learner.std=0.2"]).at("reward.gate_edge", 50.0)
+    first = load_config("e2e_race", ["learner.std=0.2"])
     saved.write_text(first.to_yaml())
-    assert load_config(saved) == first.replace() and load_config(saved).reward == first.reward
-    new, preset = load_config(saved, over), load_config("e2e_race", over)
-    assert preset.reward.progress < 0.5 * first.reward.progress
-    assert new.reward == preset.reward.replace(gate_edge=50.0)
-    assert new.training_limits == preset.training_limits
-    assert new.schedules == preset.schedules and new.learner == preset.learner.replace(std=0.2)
-    saved.write_text(first.replace(track=preset.track, rules=preset.rules).to_yaml())
-    assert load_config(saved).reward == first.reward  # numbers of another race have no unit
+    assert load_config(saved) == first
+    assert load_config(saved, over).reward == first.reward
+    assert load_config("e2e_race", over).reward.progress < 0.5 * first.reward.progress
 
 
-def test_a_printed_config_keeps_its_units(tmp_path):
-    config, mine = load_config("e2e_race"), tmp_path / "mine.yaml"
-    mine.write_text(commented_yaml(config))
-    assert load_config(mine) == config and load_config(mine).to_yaml() == config.to_yaml()
+def test_a_printed_preset_keeps_its_units(tmp_path):
+    """On another track its numbers are those of the preset there."""
+    (config, units), mine = load_with_units("e2e_race", ["seed=3"]), tmp_path / "mine.yaml"
+    mine.write_text(commented_yaml(config, units))
+    over = ["track=split_s", "rules.position_limit=null"]
+    assert load_config(mine) == config
+    assert load_config(mine, over) == load_config("e2e_race", ["seed=3", *over])
     text = " ".join(line.strip(" #") for line in mine.read_text().splitlines())
     assert f"13.5 per leg: {config.reward.progress:g}" in text
     assert f"5 leg times: {config.schedules['learner.discount'].linear[1]:g}" in text

@@ -204,12 +204,15 @@ def test_a_track_of_a_policy_brings_its_rules(track, preset, tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.yaml").write_text(OWN)
     (tmp_path / "small.yaml").write_text("gates: [{position: [9, 0, -2]}, {position: [4, 0, -2]}]")
-    policy = dataclasses.replace(Policy.load("e2e"), config=load_config(preset).to_tree())
+    stored = load_config(preset).model_dump(mode="json", by_alias=True)
+    policy = dataclasses.replace(Policy.load("e2e"), config=stored)
     laps = ["evaluate.laps=1"] if track == "own.yaml" else []
-    expected = load_config(preset, [f"track={track}", *laps])
-    assert race_of_policy(policy, track=track)[0] == expected
+    expected, race = load_config(preset, [f"track={track}", *laps]), load_config(preset)
     condition = Condition(label="there", overrides=(f"track={track}",))
-    assert condition.race(load_config(preset)) == expected
+    for found in (race_of_policy(policy, track=track)[0], condition.race(race)):
+        for section in ("track", "rules", "evaluate", "vehicle", "observation"):
+            assert getattr(found, section) == getattr(expected, section)
+        assert found.reward == race.reward  # in the units of the race of training
 
 
 def test_a_track_that_does_not_fit_the_race_of_a_policy_is_refused(tmp_path):
