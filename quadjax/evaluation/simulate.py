@@ -20,8 +20,9 @@ from quadjax.policy.file import Policy
 from quadjax.race import episode
 from quadjax.race import laps as race
 from quadjax.race.environment import Race, without_training_limits
-from quadjax.race.episode import draw_start, start_gate, with_estimate
+from quadjax.race.episode import draw_start, start_gate
 from quadjax.race.laps import Actor
+from quadjax.race.memory import begun
 from quadjax.race.random_track import RandomTracks
 from quadjax.race.track import Track, gate, gate_count
 from quadjax.race.types import RaceParams, RaceState
@@ -173,7 +174,7 @@ def start_before_gate(environment: Race, params: RaceParams, key: jax.Array) -> 
     drone = model.start(constants, motion, draws["actuators"], (low, high))
     zero = jnp.zeros((), jnp.int32)
     fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
-    return with_estimate(environment, params, fresh)
+    return begun(environment, params, fresh)
 
 
 @functools.partial(jax.jit, static_argnums=0)

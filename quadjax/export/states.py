@@ -17,9 +17,10 @@ from quadjax.policy import pilot
 from quadjax.policy.pilot import command_ranges
 from quadjax.race import episode
 from quadjax.race.environment import Race
-from quadjax.race.layout import Layout
+from quadjax.race.layout import LAST_ACTION, Layout
+from quadjax.race.memory import DISTURBANCE, Estimate
 from quadjax.race.observations import HIGHEST_RPM
-from quadjax.race.types import Estimate, RaceParams, RaceState
+from quadjax.race.types import RaceParams, RaceState
 from quadjax.vehicle.battery import Battery, BatteryState, battery_at_start
 from quadjax.vehicle.protocol import State, VehicleModel
 
@@ -73,10 +74,10 @@ def observe(race: PolicyRace, states: np.ndarray, targets: np.ndarray) -> np.nda
         drone = drone_of(environment.layout, model, example, state)
         triples = zip(numbers.get(LAST_COMMAND, []), low, high, strict=False)
         action = tuple((2.0 * x - lowest - top) / (top - lowest) for x, lowest, top in triples)
-        estimate = None
+        memories: dict[str, Any] = {LAST_ACTION: action}
         if params.estimator is not None and model.disturbed:
-            estimate = Estimate(None, *drone.disturbance)
-        race_state = RaceState(drone, target, zero, zero, None, estimate, action or None)
+            memories |= {DISTURBANCE: Estimate(None, *drone.disturbance)}
+        race_state = RaceState(drone, target, zero, zero, None, memories)
         if params.battery is not None and HIGHEST_RPM in sizes:
             (highest,) = numbers[HIGHEST_RPM]
             race_state = race_state.replace(battery=_battery(params.battery, highest))

@@ -16,8 +16,8 @@ from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.policy.pilot import Pilot, fly
 from quadjax.race import laps
 from quadjax.race.environment import Race, progressed
-from quadjax.race.episode import hover, no_action
-from quadjax.race.rewards import clipped_action
+from quadjax.race.episode import hover
+from quadjax.race.memory import advanced, begun
 from quadjax.race.rules import evaluate_rules
 from quadjax.race.track import gate, gate_count
 from quadjax.race.types import RaceParams, RaceState, Step
@@ -88,8 +88,10 @@ def begin(plan: Plan, key: jax.Array) -> Drones:
         first, rest = draws[: gusts.START_DRAWS], draws[gusts.START_DRAWS :]
         state = plant.begin(plan.plant, body, left, first)
         computers = onboard.begin(plan.onboard, plan.plant, state, rest)
-        zero, action = jnp.zeros((), jnp.int32), no_action(plan.environment, plan.race)
-        return RaceState(body, zero, zero, zero, None, action=action), state, computers
+        zero = jnp.zeros((), jnp.int32)
+        known = RaceState(_known_motion(plan, computers), zero, zero, zero, None)
+        memories = begun(plan.environment, plan.race, known).memories
+        return RaceState(body, zero, zero, zero, None, memories), state, computers
 
     of_noise, of_charge = jax.random.split(key)
     count = gusts.START_DRAWS + sensors.START_DRAWS
@@ -160,11 +162,14 @@ def _known_motion(plan: Plan, computers: OnboardState) -> RigidBodyState:
     return RigidBodyState(motion.position, motion.velocity, motion.euler, motion.rates, thrust)
 
 
-def remember(drones: Drones, action: jax.Array) -> Drones:
-    """One drone after a control step, with its action where the policy observes it."""
-    state = drones.race.state
-    clipped = None if state.action is None else clipped_action(action)
-    return drones.replace(race=drones.race.replace(state=state.replace(action=clipped)))
+def remember(plan: Plan, before: Drones, drones: Drones, action: jax.Array) -> Drones:
+    """One drone after a control step, with the memories of its policy."""
+    race, state = plan.environment, drones.race.state
+    known, after = (_known_motion(plan, x.onboard) for x in (before, drones))
+    began = before.race.state.replace(drone=known)
+    g = gate(plan.race.track, began.target)
+    memories = advanced(race, Step(race.model, plan.race, began, g, after, action=action))
+    return drones.replace(race=drones.race.replace(state=state.replace(memories=memories)))
 
 
 @functools.partial(jax.jit, static_argnames="steps")
@@ -187,7 +192,8 @@ def advance(plan: Plan, steps: int, drones: Drones, key: jax.Array) -> tuple[Dro
         following, rotors = hold(plan, drones, command, of_plant)
         recorded = jax.tree.map(lambda x: x[..., : plan.recorded], (drones, command, rotors))
         frame = jax.vmap(frame_of, (axes(plan), -1, -1, -1), -1)(first_runs(plan), *recorded)
-        return jax.vmap(remember, (-1, 0), -1)(following, action), frame
+        recall = jax.vmap(remember, (axes(plan), -1, -1, 0), -1)
+        return recall(plan, drones, following, action), frame
 
     return jax.lax.scan(control, drones, jax.random.split(key, steps))
 

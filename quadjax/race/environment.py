@@ -18,19 +18,18 @@ from quadjax.core.materialize import materialize, materialize_cotangent, materia
 from quadjax.core.precision import single_precision
 from quadjax.core.traced import with_leaves
 from quadjax.race import episode
-from quadjax.race.layout import Layout
-from quadjax.race.rewards import clipped_action, reward
+from quadjax.race.layout import LAST_ACTION, Layout
+from quadjax.race.memory import advanced
+from quadjax.race.rewards import reward
 from quadjax.race.rules import NOT_FINITE, evaluate_rules
 from quadjax.race.track import gate, gate_count
 from quadjax.race.types import (
-    Estimate,
     Outcome,
     RaceParams,
     RaceState,
     Step,
     UserFunctions,
 )
-from quadjax.vehicle import estimator
 from quadjax.vehicle.battery import advance_battery, limit_command
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.protocol import Command, State, VehicleModel
@@ -119,17 +118,14 @@ class Race(Environment[RaceParams, RaceState]):
         outcome = _outcome(self, Step(model, params, state, g, after), flag=flag)
         invalid = outcome.crashes[NOT_FINITE]
         drone = jax.tree.map(lambda new, old: jnp.where(invalid, old, new), after, state.drone)
-        value = reward(Step(model, params, state, g, drone, outcome, action), self.user_terms)
+        step = Step(model, params, state, g, drone, outcome, action)
+        value = reward(step, self.user_terms)
         following, battery = progressed(params, state, drone, outcome), state.battery
         if params.battery is not None and battery is not None:
             sent = self.command(params, action)
             battery = advance_battery(params.battery, battery, drone.actuators, sent)
-        following = following.replace(
-            battery=battery,
-            estimate=_estimate(self, params, state, drone),
-            action=None if state.action is None else clipped_action(action),
-        )
-        return following, value, outcome
+        memories = advanced(self, step)
+        return following.replace(battery=battery, memories=memories), value, outcome
 
 
 @materialized(static=1, gradients=True)
@@ -152,8 +148,9 @@ def _simulate(race: Race, params: RaceParams, state: RaceState, action: jax.Arra
     vehicle, model = params.vehicle_of(state), race.model
     low, high = model.command_range(vehicle.constants)
     held = jax.tree.map(clip_inward, race.command(params, action), low, high)
-    if state.delay is not None and state.action is not None:
-        before = jax.tree.map(clip_inward, race.command(params, state.action), low, high)
+    if state.delay is not None:
+        last = race.command(params, state.memories[LAST_ACTION])
+        before = jax.tree.map(clip_inward, last, low, high)
         late = state.delay / params.rules.time_step
         held = jax.tree.map(lambda now, old: now + late * (old - now), held, before)
     if params.battery is not None and state.battery is not None:
@@ -178,15 +175,6 @@ def progressed(params: RaceParams, state: RaceState, drone: State, outcome: Outc
     target = jnp.where(advanced == gate_count(params.track), 0, advanced)
     passed = state.gates_passed + one
     return state.replace(drone=drone, target=target, step=state.step + 1, gates_passed=passed)
-
-
-def _estimate(race: Race, params: RaceParams, state: RaceState, drone: State) -> Estimate | None:
-    """The estimate after this step's measurement; no gradient flows through the filter."""
-    before = state.estimate
-    if before is None or before.filter is None or params.estimator is None:
-        return None
-    measured = jax.lax.stop_gradient(race.model.measure(params.vehicle_of(state), drone))
-    return Estimate(*estimator.update(params.estimator, before.filter, measured))
 
 
 def without_training_limits(model: VehicleModel, params: RaceParams) -> RaceParams:

@@ -12,7 +12,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, between, safe_norm
-from quadjax.race.layout import LAST_ACTION
+from quadjax.race.memory import begun
 from quadjax.race.track import (
     Gate,
     Track,
@@ -22,8 +22,7 @@ from quadjax.race.track import (
     through_opening,
     to_opening_frame,
 )
-from quadjax.race.types import Estimate, RaceParams, RaceState
-from quadjax.vehicle import estimator
+from quadjax.race.types import RaceParams, RaceState
 from quadjax.vehicle.battery import BatteryState, battery_at_start, draw_battery
 from quadjax.vehicle.protocol import Constants, Motion, State, VehicleModel
 
@@ -259,25 +258,8 @@ def _begin(
     constants: Constants | None,
     battery: BatteryState | None,
 ) -> RaceState:
-    zero, action = jnp.zeros((), jnp.int32), no_action(environment, params)
-    state = RaceState(drone, target, zero, zero, constants, action=action, battery=battery)
+    zero = jnp.zeros((), jnp.int32)
+    state = RaceState(drone, target, zero, zero, constants, battery=battery)
     if params.delay is not None:
         state = state.replace(delay=between(*params.delay, jnp.zeros(())))
-    return with_estimate(environment, params, state)
-
-
-def no_action(environment: "Race", params: RaceParams) -> tuple[jax.Array, ...] | None:
-    """The action before the first, where observation, reward or delay need it."""
-    needed = params.reward.action_change is not None or params.delay is not None
-    if LAST_ACTION not in environment.layout and not needed:
-        return None
-    return tuple(jnp.zeros(()) for _ in range(environment.model.action_size))
-
-
-def with_estimate(environment: "Race", params: RaceParams, state: RaceState) -> RaceState:
-    """The state with a new estimate of the disturbance, where the race has one."""
-    if params.estimator is None:
-        return state
-    measured = environment.model.measure(params.vehicle_of(state), state.drone)
-    fresh = estimator.init(params.estimator, measured)
-    return state.replace(estimate=Estimate(fresh, Vec3.zero(), Vec3.zero()))
+    return begun(environment, params, state)

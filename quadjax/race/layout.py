@@ -5,7 +5,7 @@ The config section that selects the fields is in ``quadjax.race.observation_conf
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,9 @@ from quadjax.core.sections import LARGEST, Section, model_validator, validate
 from quadjax.core.sections import Field as Key
 from quadjax.race.types import RaceParams, Step
 from quadjax.vehicle.protocol import VehicleModel
+
+if TYPE_CHECKING:
+    from quadjax.race.memory import Memory
 
 Numbers = Sequence[jax.Array]  # each ()
 Number = Annotated[float, Key(ge=-LARGEST, le=LARGEST)]
@@ -41,6 +44,7 @@ class ObservedField:
         span: the numbers of ``scale``, one pair for each; None where unknown or not scaled.
         by_rotor: whether the numbers are one for each rotor: front-left, front-right, rear-right,
             rear-left. ``quadjax import --motors`` reorders them.
+        memory: what ``value`` reads in ``step.memories``, if it needs a memory of the user's own.
     """
 
     name: str
@@ -55,6 +59,7 @@ class ObservedField:
     source: str = ""
     span: tuple[tuple[float, float], ...] | None = None
     by_rotor: bool = False
+    memory: "Memory | None" = dataclasses.field(default=None, repr=False)
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
 from quadjax.core.vectors import Vec3, between
 from quadjax.race.layout import LAST_ACTION, Bounds, Layout, Numbers, ObservedField
+from quadjax.race.memory import DISTURBANCE
 from quadjax.race.observation_config import ESTIMATED, NONE, PUBLISHED, Observation, Source
 from quadjax.race.track import Span, gates_ahead, pick, to_gate_frame, unwrapped_turns
 from quadjax.race.types import RaceParams, Step
@@ -89,16 +90,15 @@ def _actuators(step: Step) -> Numbers:
 
 def _last_action(step: Step) -> Numbers:
     """The command of the step before, which the range of commands scales to the action."""
-    assert step.state.action is not None
     low, high = map(jax.tree.leaves, _command_range(step.model, step.params))
-    return [between(*x) for x in zip(low, high, step.state.action, strict=True)]
+    return [between(*x) for x in zip(low, high, step.memories[LAST_ACTION], strict=True)]
 
 
 def _disturbance(source: Source, step: Step) -> tuple[Vec3, Vec3]:
     """The external moment, N m, and specific force, m/s^2, body, as they are observed."""
     if source == ESTIMATED:
-        assert step.state.estimate is not None
-        return step.state.estimate.moment, step.state.estimate.force
+        estimate = step.memories[DISTURBANCE]
+        return estimate.moment, estimate.force
     return (Vec3.zero(), Vec3.zero()) if source == NONE else step.drone.disturbance
 
 

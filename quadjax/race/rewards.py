@@ -12,6 +12,8 @@ from quadjax.core.imports import user_numbers
 from quadjax.core.sections import Code, Field, Needs, Section, Unit
 from quadjax.core.traced import register
 from quadjax.core.vectors import Vec3, safe_norm
+from quadjax.race.layout import LAST_ACTION
+from quadjax.race.memory import clipped_action
 from quadjax.race.rules import HIT_A_GATE
 from quadjax.race.track import Gate, to_gate_frame, to_opening_frame
 from quadjax.race.types import Step, UserFunctions
@@ -121,19 +123,11 @@ def gate_edge(step: Step) -> jax.Array:
     return jnp.where(crossed, -violation, 0.0)
 
 
-def clipped_action(action: jax.Array) -> tuple[jax.Array, ...]:
-    """The numbers of an action (n,), clipped to [-1, 1], without a gradient beyond the limits.
-
-    The command of an action is clipped too, with another gradient (``environment.command``).
-    """
-    return tuple(jnp.clip(action[i], -1.0, 1.0) for i in range(action.shape[0]))
-
-
 def action_change(step: Step) -> jax.Array:
     """Minus the sum () of the absolute changes of the action's numbers, each within [-1, 1]."""
-    assert step.action is not None and step.state.action is not None
-    now = clipped_action(step.action)
-    changes = [jnp.abs(x - before) for x, before in zip(now, step.state.action, strict=True)]
+    assert step.action is not None
+    pairs = zip(clipped_action(step.action), step.memories[LAST_ACTION], strict=True)
+    changes = [jnp.abs(now - before) for now, before in pairs]
     return -functools.reduce(jnp.add, changes)
 
 

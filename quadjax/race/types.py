@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.draws import Disturbance, Randomization, Start
 from quadjax.race.track import Gate, Track
 from quadjax.vehicle.battery import Battery, BatteryState
-from quadjax.vehicle.estimator import EstimatorParams, EstimatorState
+from quadjax.vehicle.estimator import EstimatorParams
 from quadjax.vehicle.protocol import Constants, State, VehicleModel, VehicleParams
 
 if TYPE_CHECKING:  # what is declared next to the functions of a step
@@ -70,14 +70,6 @@ class RaceParams(struct.PyTreeNode):
         return dataclasses.replace(self.vehicle, constants=state.constants)
 
 
-class Estimate(struct.PyTreeNode):
-    """The onboard estimate of the external disturbance."""
-
-    filter: EstimatorState | None  # None: an estimate without its filter
-    moment: Vec3  # N m, body
-    force: Vec3  # m/s^2, body
-
-
 class RaceState(struct.PyTreeNode):
     """One drone in its race."""
 
@@ -86,8 +78,8 @@ class RaceState(struct.PyTreeNode):
     step: jax.Array  # () int32, steps since the episode began
     gates_passed: jax.Array  # () int32
     constants: Constants | None  # of this episode, where they are drawn; else None
-    estimate: Estimate | None = None  # where the observation is estimated; else None
-    action: tuple[jax.Array, ...] | None = None  # of the step before, each (), where it is used
+    # Values of ``quadjax.race.memory``, by name.
+    memories: Mapping[str, Any] = struct.field(default_factory=dict)
     battery: BatteryState | None = None  # where the race has one
     delay: jax.Array | None = None  # () s, of this episode's commands, where there is one
     track: Track | None = None  # of this episode, where it is drawn; else None
@@ -150,6 +142,11 @@ class Step(struct.PyTreeNode):
     after: State | None = None
     outcome: Outcome | None = None
     action: jax.Array | None = None
+
+    @property
+    def memories(self) -> Mapping[str, Any]:
+        """The values of the race's memories by name; see ``quadjax.race.memory``."""
+        return self.state.memories
 
     @property
     def before(self) -> State:

@@ -22,6 +22,7 @@ from quadjax.policy.pilot import command_ranges
 from quadjax.race import laps
 from quadjax.race.environment import Race, without_training_limits
 from quadjax.race.laps import Laps, LapState
+from quadjax.race.memory import DISTURBANCE
 from quadjax.race.types import RaceParams
 from quadjax.sil.faults import RPM_PER_RAD_S
 from quadjax.vehicle.constants import values_of
@@ -218,8 +219,8 @@ def _see_simulator(environment: Race, params: RaceParams, race: LapState) -> See
     one, model = jax.tree.map(lambda x: x[..., 0], race), environment.model
     drone, zero = one.state.drone, jnp.zeros(())
     disturbance = drone.disturbance if model.disturbed else (Vec3.zero(), Vec3.zero())
-    if one.state.estimate is not None:
-        disturbance = one.state.estimate.moment, one.state.estimate.force
+    if (estimate := one.state.memories.get(DISTURBANCE)) is not None:
+        disturbance = estimate.moment, estimate.force
     actuators, has_rotors = drone.actuators, model.actuators.size == 4
     unit = 1.0 / RPM_PER_RAD_S if model.actuators.unit == "rpm" else 1.0
     motion = (drone.position, drone.velocity, drone.angles, drone.rates)

@@ -21,6 +21,7 @@ from quadjax.plant.flights import (
     rows,
 )
 from quadjax.policy.file import Policy
+from quadjax.race.layout import LAST_ACTION
 from quadjax.training.build import untrained_policy
 from quadjax.vehicle.registry import MODELS
 from tests.evaluation.support import random_policy
@@ -115,7 +116,9 @@ def test_the_last_action_is_the_command_of_the_step_before():
     drones, kept = onboard_flight.begin(plan, jax.random.key(0)), []
     for key in jax.random.split(jax.random.key(1), 4):
         before, (drones, frame) = drones, onboard_flight.advance(plan, 1, drones, key)
-        kept.append((before.race.state.action, jax.tree.map(lambda x: x[0], frame.command)))
+        kept.append(
+            (before.race.state.memories[LAST_ACTION], jax.tree.map(lambda x: x[0], frame.command))
+        )
     action, command = jax.tree.map(lambda *x: np.stack(x), *kept)
     low, high = np.asarray(plan.pilot.low)[:, None], np.asarray(plan.pilot.high)[:, None]
     given = 2.0 * (np.stack(jax.tree.leaves(command), 1) - low) / (high - low) - 1.0

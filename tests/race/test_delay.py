@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from quadjax.race import episode
+from quadjax.race.layout import LAST_ACTION
 from tests import reference as ref
 from tests.race.support import compiled_reset, make_race
 
@@ -18,7 +19,7 @@ def test_a_delayed_command_acts_for_the_rest_of_the_step(kind):
     state = compiled_reset(environment)(params, jax.random.key(0), 1)
     state = jax.tree.map(lambda x: x[0], state)
     before, now, late = np.array([-0.5, 0.2, 0.0, 0.7]), np.array([0.5, -1.0, 0.1, 3.0]), 0.004
-    state = state.replace(action=tuple(before), delay=np.float32(late))
+    state = state.replace(memories={LAST_ACTION: tuple(before)}, delay=np.float32(late))
     after, _, _ = environment.transition(params, state, now)
     low, high = (
         np.array(jax.tree.leaves(x))
@@ -35,7 +36,7 @@ def test_a_delayed_command_acts_for_the_rest_of_the_step(kind):
         start, constants = float(state.drone.actuators), params.vehicle.constants
         expected = start + STEP * (acting[3] - start) / float(constants.tau_thrust)
         np.testing.assert_allclose(float(after.drone.actuators), expected, rtol=1e-5)
-    np.testing.assert_allclose(after.action, np.clip(now, -1, 1), rtol=1e-6)
+    np.testing.assert_allclose(after.memories[LAST_ACTION], np.clip(now, -1, 1), rtol=1e-6)
     assert float(after.delay) == np.float32(late)
 
 
@@ -51,4 +52,4 @@ def test_a_delay_is_drawn_for_every_episode_and_is_the_middle_of_its_range_in_ti
 def test_no_delay_changes_nothing():
     environment, params = make_race("start.gate=first")
     state = compiled_reset(environment)(params, jax.random.key(0), 1)
-    assert params.delay is None and state.delay is None and state.action is None
+    assert params.delay is None and state.delay is None and not state.memories

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.vectors import Rotors
+from quadjax.race.layout import LAST_ACTION
 from quadjax.race.track import gates_ahead
 from quadjax.race.types import Step
 from tests import reference as ref
@@ -151,7 +152,7 @@ def test_the_last_action_and_the_penalty_of_its_change():
     (environment, params), plain = make_race(*more), make_race()
     state = race_state("motor", ref.random_states("motor", ROWS), np.arange(ROWS) % 4)
     action = np.random.default_rng(0).uniform(-1.5, 1.5, (ROWS, 4)).astype(np.float32)
-    begun = state.replace(action=(np.full(ROWS, 0.5, np.float32),) * 4)
+    begun = state.replace(memories={LAST_ACTION: (np.full(ROWS, 0.5, np.float32),) * 4})
     following, value, _ = compiled_transition(environment)(params, begun, action)
     _, without, _ = compiled_transition(plain[0])(plain[1], state, action)
     change = 0.25 * np.abs(np.clip(action, -1, 1) - 0.5).sum(axis=1)

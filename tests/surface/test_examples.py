@@ -21,7 +21,7 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 def test_the_examples_are_numbered():
     topics = "lap train drone_and_track race vehicle_model learner pendulum log_format autopilot"
-    topics += " learn_from_flights network loss"
+    topics += " learn_from_flights network loss memory"
     names = [f"{number:02}_{topic}" for number, topic in enumerate(topics.split(), 1)]
     assert [path.stem for path in EXAMPLES] == names
 

@@ -10,6 +10,7 @@ import pytest
 import quadjax
 from quadjax.config.assembly import make_race
 from quadjax.core.vectors import Vec3
+from quadjax.race.memory import DISTURBANCE
 from quadjax.vehicle.registry import MODELS
 
 DISTURBED = [name for name, model in MODELS.items() if model.can_be_disturbed]
@@ -58,7 +59,7 @@ def test_the_estimate_settles_at_the_disturbance(name):
     def flown(params, first, actions):
         def step(state, action):
             following = environment.step(params, state, action)[0]
-            return following, following.estimate
+            return following, following.memories[DISTURBANCE]
 
         return jax.lax.scan(step, first, actions)[1]
 

@@ -1,0 +1,112 @@
+"""Memories of a race: of the user's own terms and fields; what is wrong with one is one line."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax import Field, Memory
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.race.memory import DISTURBANCE, clipped_action, memories_of
+from tests.race.support import make_race
+
+OVERRIDES = (
+    f"reward.terms={{{__name__}:term: 2.0}}",
+    f"observation.extra=[{__name__}:COUNTER]",
+    "observation.last_action=true",
+)
+
+
+class Counter(Memory):
+    """Steps, and the sum of the first number of all actions."""
+
+    name = "counter"
+
+    def begin(self, model, params, state):
+        return jnp.zeros((), jnp.int32), 0.0 * state.drone.position.x
+
+    def advance(self, value, step):
+        return value[0] + 1, value[1] + clipped_action(step.action)[0]
+
+
+def term(step):
+    """The number of steps before this one."""
+    return step.memories["counter"][0].astype(jnp.float32)
+
+
+def observed(step):
+    return step.memories["counter"][1:]
+
+
+term.memory = MEMORY = Counter()
+COUNTER = Field("counter", 1, "", "", value=observed, memory=MEMORY)
+
+
+def test_a_term_and_a_field_share_a_memory():
+    environment, params = make_race(*OVERRIDES)
+    _, plain = make_race("observation.last_action=true")
+    assert [x.name for x in memories_of(environment, params)] == ["last_action", "counter"]
+    state = environment.reset(params, jax.random.key(0))
+    step = jax.jit(environment.step)
+    for count, action in enumerate((0.5, -3.0, 0.25)):
+        same = dataclasses.replace(environment, user_terms=())
+        _, without, *_ = jax.jit(same.step)(plain, state, jnp.full(4, action))
+        state, value, *_ = step(params, state, jnp.full(4, action))
+        assert float(value - without) == pytest.approx(2.0 * count, abs=1e-5)
+    assert float(environment.observe(params, state)[-1]) == pytest.approx(0.5 - 1.0 + 0.25)
+    np.testing.assert_allclose(state.memories["last_action"], 0.25)
+
+
+def test_a_memory_begins_with_every_episode_and_every_timed_race():
+    environment, params = make_race(*OVERRIDES, "start.race=0.5")
+    starts = jax.vmap(environment.reset, (None, 0))(params, jax.random.split(jax.random.key(0), 9))
+    assert not starts.memories["counter"][0].any()
+
+
+def test_the_published_race_has_no_memory():
+    environment, params = make_race()
+    assert environment.reset(params, jax.random.key(0)).memories == {}
+    environment, params = make_race("observation.disturbance=estimated")
+    assert set(environment.reset(params, jax.random.key(0)).memories) == {DISTURBANCE}
+
+
+class Divides(Counter):
+    def begin(self, model, params, state):
+        return 1 / 0
+
+
+class Grows(Counter):
+    def advance(self, value, step):
+        return jnp.zeros(3)
+
+
+class Same(Counter):
+    name = "last_action"
+
+
+WRONG = {
+    "memory 'counter': ZeroDivisionError: division by zero": Divides(),
+    "memory 'counter': advance gives .*, begin .*, as .shape, type.": Grows(),
+    "memory 'last_action': two have the same name": Same(),
+    "memory is 3, expected a quadjax.Memory": 3,
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_a_wrong_memory_is_one_line(message, monkeypatch):
+    monkeypatch.setattr(term, "memory", WRONG[message])
+    environment, params = make_race(f"reward.terms={{{__name__}:term: 2.0}}")
+    with pytest.raises(InputError, match=message):
+        state = environment.reset(params, jax.random.key(0))
+        environment.step(params, state, jnp.zeros(4))
+
+
+def test_a_memory_is_trained_with(tmp_path):
+    from quadjax.training.build import training_params
+    from quadjax.training.inputs import trace_race
+
+    config = load_config("e2e", OVERRIDES)
+    trace_race(config, training_params(config))
