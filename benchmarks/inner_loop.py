@@ -77,7 +77,7 @@ class InnerLoop(Motor):
         return LoopState(
             position=state.velocity,
             velocity=acceleration.replace(z=acceleration.z + c.g),
-            euler=euler_rates(a, state.rates),
+            attitude=euler_rates(a, state.rates),
             rates=turning.replace(z=turning.z + total(YAW, speeding) * c.k_r2 / c.i_zz),
             actuators=(-force.z - state.actuators) / OBSERVED_LAG,
             rotors=speeding,

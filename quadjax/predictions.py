@@ -92,7 +92,7 @@ def _roll_out(
         state = state if speed is None else state.replace(actuators=Rotors.of(speed))
         state = rk4_step(lambda s: model.derivative(params, s, command), state, dt)
         state = state.wrapped()
-        vectors = (state.position, state.velocity, state.angles, state.rates)
+        vectors = (state.position, state.velocity, state.euler, state.rates)
         return state, jnp.stack([vector.array() for vector in vectors])
 
     def window(row: jax.Array, commands: jax.Array, speeds: jax.Array | None) -> jax.Array:

@@ -29,7 +29,7 @@ def state_of(kind: str, rows: np.ndarray) -> RigidBodyState:
     pose = {
         "position": vec3(rows[..., ref.P]),
         "velocity": vec3(rows[..., ref.V]),
-        "euler": vec3(rows[..., ref.EULER]),
+        "attitude": vec3(rows[..., ref.EULER]),
         "rates": vec3(rows[..., ref.RATES]),
     }
     if kind == "rate":

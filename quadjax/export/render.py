@@ -113,7 +113,7 @@ def glue_header(policy: FixedPolicy, race: PolicyRace) -> str:
         "QUADJAX_GATE_POSITIONS": "{" + rows + "}",
         "QUADJAX_GATE_YAWS": numbers(np.asarray(track.yaw)),
         "QUADJAX_START_POSITION": numbers(jax.tree.leaves(drone.position)),
-        "QUADJAX_START_YAW": f"{float(drone.angles.z)!r}F",
+        "QUADJAX_START_YAW": f"{float(drone.euler.z)!r}F",
     }
     lines = "\n".join(f"#define {name} {value}" for name, value in values.items())
     return (

@@ -35,8 +35,8 @@ def drone_of(layout: Layout, model: VehicleModel, example: State, numbers: jax.A
     values = _by_name(state_sizes(layout, model), numbers)
     leaves = []
     for field in dataclasses.fields(example):
-        if field.name == "euler":
-            leaves += _attitude(values, isinstance(example.euler, Quaternion))
+        if field.name == "attitude":
+            leaves += _attitude(values, isinstance(example.attitude, Quaternion))
         elif getattr(example, field.name) is not None:
             leaves += values.get(field.name, values[model.actuators.name])
     return jax.tree.unflatten(jax.tree.structure(example), leaves)

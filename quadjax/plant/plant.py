@@ -224,7 +224,7 @@ def derivative(params: PlantParams, physics: Physics, command: Rotors, wind: Vec
         body=RigidBodyState(
             position=body.velocity,
             velocity=acceleration.replace(z=acceleration.z + c.g),
-            euler=euler_rates(a, body.rates),
+            attitude=euler_rates(a, body.rates),
             rates=turning,
             actuators=rpm_rate,
             moment_ext=Vec3.zero(),
@@ -262,8 +262,7 @@ def update(
 
     physics = rk4_step(slope, state.physics, params.step)
     euler = physics.body.euler
-    assert isinstance(euler, Vec3)
-    body = physics.body.replace(euler=euler.replace(z=wrap_angle(euler.z)))
+    body = physics.body.replace(attitude=euler.replace(z=wrap_angle(euler.z)))
     turning = (body.rates - state.physics.body.rates) * (1.0 / params.step)
     phase = jax.tree.map(
         lambda angle, w: wrap_angle(angle + w * (params.step / effects.RPM_PER_RAD_S)),
@@ -278,7 +277,7 @@ def truth_of(params: PlantParams, state: PlantState) -> GroundTruth:
     """The true motion at the sensors: of the center of gravity, and at the inertial unit."""
     body, on = state.physics.body, params.effects
     force, _ = loads(params, state)
-    assert body.force_ext is not None and isinstance(body.euler, Vec3)
+    assert body.force_ext is not None
     lever = effects.lever_acceleration(params.imu, body.rates, state.turning)
     shaking, turning = effects.vibration(params.imu, params.hover, body.actuators, state.phase)
     return GroundTruth(

@@ -190,7 +190,7 @@ def stepper(
 def _trace(environment: Race, params: RaceParams, race: LapState, action: jax.Array) -> Trace:
     drone, battery = race.state.drone, race.state.battery
     command = jax.vmap(functools.partial(environment.command, params), out_axes=-1)
-    signals = drone.position, drone.velocity, drone.angles, drone.rates, drone.actuators
+    signals = drone.position, drone.velocity, drone.euler, drone.rates, drone.actuators
     rows = (jnp.stack(jax.tree.leaves(signal)) for signal in (*signals, command(action)))
     position, velocity, euler, rates, actuators, sent = rows
     highest = None if battery is None else battery.estimate.highest

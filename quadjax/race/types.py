@@ -171,7 +171,7 @@ class Step(struct.PyTreeNode):
     @property
     def euler(self) -> Vec3:
         """Roll, pitch and yaw of ``drone``, rad."""
-        return self.drone.angles
+        return self.drone.euler
 
     @property
     def body_rates(self) -> Vec3:

@@ -223,7 +223,7 @@ def _see_simulator(environment: Race, params: RaceParams, race: LapState) -> See
         disturbance = estimate.moment, estimate.force
     actuators, has_rotors = drone.actuators, model.actuators.size == 4
     unit = 1.0 / RPM_PER_RAD_S if model.actuators.unit == "rpm" else 1.0
-    motion = (drone.position, drone.velocity, drone.angles, drone.rates)
+    motion = (drone.position, drone.velocity, drone.euler, drone.rates)
     return _seen(
         *(one.state.target, one.over),
         *(motion, model.measure(params.vehicle, drone)),

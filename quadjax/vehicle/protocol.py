@@ -184,7 +184,7 @@ class VehicleModel:
     def derivative(self, params: VehicleParams, state: State, command: Command) -> State:
         """The time derivative of a state under a command, as a state."""
         c, actuators = params.constants, state.actuators
-        a = attitude(state.euler, flag=params.opaque_true)
+        a = attitude(state.attitude, flag=params.opaque_true)
         velocity = world_to_body(a, state.velocity, flag=params.opaque_true)
         rate = self.actuator_rate(c, actuators, command)
         body = BodyState(velocity, state.rates, actuators, rate)
@@ -195,7 +195,7 @@ class VehicleModel:
         return RigidBodyState(
             position=state.velocity,
             velocity=acceleration.replace(z=acceleration.z + c.g),
-            euler=euler_rates(a, state.rates),
+            attitude=euler_rates(a, state.rates),
             rates=self.angular_acceleration(c, moment, state.rates, command),
             actuators=rate,
             moment_ext=None if state.moment_ext is None else Vec3.zero(),

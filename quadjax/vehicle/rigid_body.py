@@ -18,17 +18,17 @@ class RigidBodyState(struct.PyTreeNode):
 
     position: Vec3  # m, world
     velocity: Vec3  # m/s, world
-    euler: Vec3 | Quaternion  # roll, pitch, yaw, rad, or a quaternion from body to world
+    attitude: Vec3 | Quaternion  # roll, pitch, yaw, rad, or a quaternion from body to world
     rates: Vec3  # p, q, r, rad/s, body
     actuators: Any  # a pytree of scalars: rotor speeds, a thrust, ..
     moment_ext: Vec3 | None = None  # external moment, N m or rad/s^2, body
     force_ext: Vec3 | None = None  # external specific force, m/s^2, body
 
     @property
-    def angles(self) -> Vec3:
+    def euler(self) -> Vec3:
         """Roll, pitch and yaw, rad."""
-        euler = self.euler
-        return quaternion.to_euler(euler, arctan2) if isinstance(euler, Quaternion) else euler
+        found = self.attitude
+        return quaternion.to_euler(found, arctan2) if isinstance(found, Quaternion) else found
 
     @property
     def disturbance(self) -> tuple[Vec3, Vec3]:
@@ -38,14 +38,14 @@ class RigidBodyState(struct.PyTreeNode):
 
     def to_body(self, vector: Vec3) -> Vec3:
         """A world-frame vector in the body frame."""
-        return world_to_body(attitude(self.euler), vector)
+        return world_to_body(attitude(self.attitude), vector)
 
     def wrapped(self) -> Self:
         """The state with angles wrapped or the quaternion normalized, after each step."""
-        euler = self.euler
-        if isinstance(euler, Quaternion):
-            return self.replace(euler=quaternion.normalized(euler))
-        return self.replace(euler=euler.replace(x=wrap_angle(euler.x), z=wrap_angle(euler.z)))
+        now = self.attitude
+        if isinstance(now, Quaternion):
+            return self.replace(attitude=quaternion.normalized(now))
+        return self.replace(attitude=now.replace(x=wrap_angle(now.x), z=wrap_angle(now.z)))
 
 
 class BodyState(struct.PyTreeNode):

@@ -4,6 +4,7 @@ Links to titles within ``docs/`` are checked by the build of the site, in ``test
 """
 
 import fnmatch
+import importlib
 import json
 import re
 
@@ -77,3 +78,17 @@ def test_blocks_name_their_language():
     blocks = [block for page in PAGES for block in blocks_of(page)]
     assert len(blocks) > 50
     assert not [f"{name_of(b.page)}:{b.line}" for b in blocks if not b.language]
+
+
+def test_the_way_through_the_code_names_what_exists():
+    """CONTRIBUTING.md, from the command line to the compiled step."""
+    text = TEXTS[ROOT / "CONTRIBUTING.md"]
+    way = text.partition("## The way through the code")[2].partition("\n## ")[0]
+    names = [x for x in re.findall(r"`([a-z_]+\.[\w.]+)`", way) if x != "reward.gate"]
+    assert len(names) > 15
+    for name in names:
+        package, module, *rest = name.split(".")
+        found = importlib.import_module(f"quadjax.{package}.{module}")
+        for part in rest:
+            assert hasattr(found, part), name
+            found = getattr(found, part)

@@ -67,7 +67,7 @@ def test_a_quaternion_has_the_accelerations_of_the_race_with_euler_angles(name):
         (roll, pitch, yaw), vec = euler_of(vector[None])[0], type(state.position)
         low, _ = model.command_range(vehicle.constants)
         held = jax.tree.structure(low).unflatten(list(command))
-        slope = model.derivative(vehicle, state.replace(euler=vec(roll, pitch, yaw)), held)
+        slope = model.derivative(vehicle, state.replace(attitude=vec(roll, pitch, yaw)), held)
     np.testing.assert_allclose(found[VELOCITY], numbers(slope.velocity), rtol=1e-6)
     np.testing.assert_allclose(found[RATES], numbers(slope.rates), rtol=1e-9)
 

@@ -129,7 +129,7 @@ def test_gradient_is_finite_where_a_flight_ends():
 
     slope = jax.jit(jax.grad(value, (0, 1)), compiler_options=QUICK)
     for drone in (
-        base.replace(position=at_gate, velocity=still, rates=still, euler=still),
+        base.replace(position=at_gate, velocity=still, rates=still, attitude=still),
         base.replace(position=below, velocity=base.velocity.replace(z=np.float64(3.0))),
     ):
         assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(slope(drone, np.zeros(4))))

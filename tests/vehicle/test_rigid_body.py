@@ -168,14 +168,14 @@ def test_models_of_euler_angles_with_a_quaternion(kind):
     plain, model = MODELS[kind], MODELS[kind].with_options(quaternion=True)
     params = VehicleParams(constants(kind, {"motor": bebop.MOTOR, "rate": bebop.RATE}[kind]))
     state, command = bebop_state(kind, rows), command_of(kind, commands)
-    turned = state.replace(euler=jax.jit(quaternion.of_euler)(state.euler))
+    turned = state.replace(attitude=jax.jit(quaternion.of_euler)(state.euler))
 
     def slopes(params, state, turned, command):
         found = model.derivative(params, turned, command)
         angles = functools.partial(quaternion.to_euler, arctan2=arctan2)
-        _, slope = jax.jvp(angles, (turned.euler,), (found.euler,))
+        _, slope = jax.jvp(angles, (turned.attitude,), (found.attitude,))
         expected = plain.derivative(params, state, command)
-        return expected, found.replace(euler=slope), turned.angles
+        return expected, found.replace(attitude=slope), turned.euler
 
     expected, found, angles = by_rows(slopes)(params, state, turned, command)
     for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
