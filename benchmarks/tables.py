@@ -7,7 +7,7 @@ from typing import NamedTuple
 from benchmarks.comparison_tables import contenders, effects, lead_rows, steps
 from benchmarks.plant_tables import CHARGES, charged, looped, unchanged
 from benchmarks.settings import Tree
-from benchmarks.steps import STEPS
+from benchmarks.steps import STEPS, WITHOUT
 
 CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
 BODIES = ("body", "hall")
@@ -93,6 +93,11 @@ TABLES = {
     "leads": Table("tournament", f"lead of E2E|{LEADS}", lead_rows),
     "interventions": Table(
         "interventions", f"step=contender|{SCORED}", lambda data: steps(data, STEPS)
+    ),
+    "without": Table(
+        "interventions",
+        f"E2E=contender|{SCORED}|simulated, s",
+        lambda data: steps(data, ("E2E, 12000 rpm", *WITHOUT)),
     ),
     "effects": Table("interventions", "from|to|trainings|saved, s", effects),
 }
