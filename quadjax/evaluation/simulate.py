@@ -70,7 +70,7 @@ def simulate(
         config = config.replace(randomization=config.randomization.replace(tracks=tracks))
     environment, params = pilot.fit_race(*make_race(config), policy, name)
     layouts = params.tracks if protocol.tracks else None
-    ready = pilot.make_pilot(environment, params, policy, bool(protocol.deterministic))
+    ready = pilot.make_pilot(policy, bool(protocol.deterministic))
     params = without_training_limits(environment.model, params)
     if condition.damage is not None:
         environment = dataclasses.replace(

@@ -33,7 +33,6 @@ from quadjax.export.race_tables import (
     Input,
     RaceTables,
 )
-from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot
 from quadjax.race.laps import Actor
@@ -120,10 +119,10 @@ def fixed_point_fly(policy: Policy, ranges: dict[str, float] | None = None) -> A
     errors as of ``fixed_point_actor``.
     """
     actor = fixed_point_actor(policy, ranges)
+    low, high = (np.asarray(x, np.float32) for x in (policy.command_low, policy.command_high))
 
-    def act(scaling: Pilot, observation: jax.Array, _noise: jax.Array) -> jax.Array:
-        command = actor(pilot.see(scaling, observation))
-        return 2.0 * (command - scaling.low) / (scaling.high - scaling.low) - 1.0
+    def act(_pilot: Pilot, observation: jax.Array, _noise: jax.Array) -> jax.Array:
+        return 2.0 * (actor(observation) - low) / (high - low) - 1.0
 
     return act
 

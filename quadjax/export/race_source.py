@@ -3,10 +3,6 @@
 import dataclasses
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
-import numpy as np
-
 from quadjax.config.assembly import make_environment, make_params
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
@@ -18,7 +14,6 @@ from quadjax.race.environment import Race
 from quadjax.race.observation_config import ESTIMATED
 from quadjax.race.observations import HIGHEST_RPM
 from quadjax.race.types import RaceParams
-from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.residual import located
 
 
@@ -59,8 +54,7 @@ def policy_race(config: Config, policy: Policy, origin: str, name: str = "policy
         name: the policy file, for messages.
 
     Raises:
-        InputError: a config for another vehicle, an observation that the race lacks, or command
-            limits that the vehicle model cannot have.
+        InputError: a config for another vehicle, or an observation that the race lacks.
     """
     residual, whole = config.vehicle.residual and located(config.vehicle.residual), config
     source = "moment_ext" in policy.layout and policy.layout["moment_ext"].source
@@ -78,35 +72,9 @@ def policy_race(config: Config, policy: Policy, origin: str, name: str = "policy
         environment, params = fit_race(environment, params, policy, name)
     except InputError as error:
         raise InputError(f"{origin}: {error}") from None
-    constants = _with_limits(environment.model, params.vehicle.constants, policy)
-    params = params.replace(vehicle=params.vehicle.replace(constants=constants), heading=None)
-    pilot = make_pilot(environment, params, policy, deterministic=True)
+    params, pilot = params.replace(heading=None), make_pilot(policy, deterministic=True)
     track, vehicle = (Path(p.name or p.file or "").name for p in (config.track, config.vehicle))
     return PolicyRace(environment, params, pilot, track, vehicle, origin, whole, residual or None)
-
-
-def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> Constants:
-    """Constants whose command range is the policy's; the range is linear in the limits."""
-    names = model.groups["limits"]
-
-    def command_range(values: jax.Array) -> jax.Array:
-        limited = constants.replace(**dict(zip(names, values, strict=True)))
-        return jnp.stack([jnp.asarray(x) for x in jax.tree.leaves(model.command_range(limited))])
-
-    wanted = np.concatenate([policy.command_low, policy.command_high])
-    ends = (jax.tree.leaves(end) for end in model.command_range(constants))
-    if np.allclose(np.concatenate([np.asarray(x) for x in ends]), wanted, rtol=1e-6, atol=1e-9):
-        return constants
-    matrix = np.asarray(jax.jacobian(command_range)(jnp.ones(len(names))), np.float64)
-    values = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
-    if not np.allclose(matrix @ values, wanted, rtol=1e-6, atol=1e-9):
-        raise InputError(
-            f"the policy commands {policy.command_low.tolist()}..{policy.command_high.tolist()}: "
-            f"no {model.name} vehicle has these limits, which follow from {', '.join(names)}"
-        )
-    return constants.replace(
-        **{name: jnp.float32(x) for name, x in zip(names, values, strict=True)}
-    )
 
 
 def check_race(policy: Policy, race: PolicyRace, file: Path) -> str:

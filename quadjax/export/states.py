@@ -13,7 +13,6 @@ from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.export.race_source import PolicyRace
 from quadjax.export.race_tables import LAST_COMMAND, state_sizes
-from quadjax.policy import pilot
 from quadjax.policy.pilot import command_ranges
 from quadjax.race import episode
 from quadjax.race.environment import Race
@@ -81,7 +80,7 @@ def observe(race: PolicyRace, states: np.ndarray, targets: np.ndarray) -> np.nda
         if params.battery is not None and HIGHEST_RPM in sizes:
             (highest,) = numbers[HIGHEST_RPM]
             race_state = race_state.replace(battery=_battery(params.battery, highest))
-        return pilot.see(race.pilot, environment.observation(params, race_state))
+        return environment.observation(params, race_state)
 
     return np.asarray(observed(states, targets))
 
@@ -94,8 +93,7 @@ def observe_float64(race: PolicyRace, states: np.ndarray, targets: np.ndarray) -
         return array.astype(np.float64) if array.dtype == np.float32 else leaf
 
     with jax.enable_x64(True):
-        params, of_pilot = jax.tree.map(exact, (race.params, race.pilot))
-        same = dataclasses.replace(race, params=params, pilot=of_pilot)
+        same = dataclasses.replace(race, params=jax.tree.map(exact, race.params))
         return observe(same, states.astype(np.float64), targets)
 
 

@@ -98,7 +98,7 @@ def plan_race(
         plant=own,
         race=params,
         onboard=onboard,
-        pilot=make_pilot(environment, params, policy, deterministic),
+        pilot=make_pilot(policy, deterministic),
         charge=(jnp.float32(low), jnp.float32(high)),
         environment=environment,
         step=1.0 / plant.control_rate,

@@ -43,7 +43,6 @@ from quadjax.policy.inference import PolicyParams
 from quadjax.policy.network_files import SUFFIXES, Layers
 from quadjax.policy.own_network import OwnNetwork, read_own_network
 from quadjax.race.layout import Layout
-from quadjax.race.observations import DISTURBANCES
 from quadjax.vehicle.residual import Residual, from_arrays, to_arrays
 
 if TYPE_CHECKING:
@@ -217,16 +216,6 @@ class Policy:
             "layout": self.layout.to_meta(),
             "source": self.source,
             "config": self.config,
-        }
-
-    @property
-    def disturbance_widths(self) -> dict[str, float]:
-        """Half-widths that scale the observed disturbances, by their names in the config."""
-        return {
-            name: high
-            for field, names in DISTURBANCES.items()
-            if field in self.layout
-            for name, (_, high) in zip(names, self.layout[field].span or (), strict=False)
         }
 
     def __call__(self, observation: jax.Array) -> jax.Array:

@@ -1,14 +1,12 @@
-"""A policy in a race: conversions between its scaling and the environment's, and timed laps.
+"""A policy in a race: the race in the policy's scaling, and timed laps.
 
-The environment scales actions and observations by its own vehicle's ranges; a policy was trained
-with those of its file. Both are converted here, so that a policy commands the rpm (or rates and
-thrust) of its file for any limits of the vehicle, and observes in the scaling that it was trained
-with. The environment scales the disturbances by the ranges of the file, because its own ranges may
-be zero while disturbances are not: a moment bias, or less thrust than modeled.
+A race scales actions and observations by its own vehicle's ranges, unless it has the ``scales`` of
+a policy: then the policy commands the rpm (or rates and thrust) of its file for any limits of the
+vehicle, and observes in the scaling that it was trained with, disturbances too. A training that
+starts from a policy converts its layers instead, to have the whole range of the race.
 """
 
 import dataclasses
-from collections.abc import Collection
 from typing import Any
 
 import jax
@@ -18,7 +16,6 @@ from flax import struct
 from numpy.typing import ArrayLike
 
 from quadjax.core.errors import InputError, warn
-from quadjax.core.traced import with_leaves
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams, act_sampled
 from quadjax.policy.network_files import Layers
@@ -26,34 +23,28 @@ from quadjax.race.environment import Race
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
 from quadjax.race.layout import Layout
 from quadjax.race.observation_config import NONE, Observation
-from quadjax.race.observations import DISTURBANCES, fields_of
-from quadjax.race.types import RaceParams
+from quadjax.race.observations import command_range, fields_of
+from quadjax.race.types import RaceParams, Scales
 from quadjax.vehicle.protocol import VehicleModel
 
 Ranges = tuple[np.ndarray, np.ndarray]  # lowest and highest
 
 
 class Pilot(struct.PyTreeNode):
-    """A policy and the conversions between its scaling and the environment's."""
+    """A policy, and how it flies."""
 
     policy: PolicyParams
-    see_scale: jax.Array  # (observations,)
-    see_offset: jax.Array  # (observations,)
-    act_scale: jax.Array  # (actions,)
-    act_offset: jax.Array  # (actions,)
-    low: jax.Array  # (actions,) lowest command of the environment's vehicle
-    high: jax.Array  # (actions,)
     noise: jax.Array  # () 1 for sampled actions, 0 for the mean: one compilation for both
 
 
 def fit_race(
     environment: Race, params: RaceParams, policy: Policy, name: str = "policy"
 ) -> tuple[Race, RaceParams]:
-    """The race with the observation that a policy was trained with.
+    """The race with the observation and the scaling that a policy was trained with.
 
-    It has the policy's fields in the policy's order, and scales the disturbances by the ranges
-    of its file, also where the race draws none, or others. The source of the disturbance
-    (ground truth, estimated or none) is that of the race.
+    It has the policy's fields in the policy's order, and the ranges of its file; those of the race
+    where the file has none. The source of the disturbance (ground truth, estimated or none) is that
+    of the race.
 
     Args:
         environment: the race.
@@ -76,9 +67,14 @@ def fit_race(
             f"{environment.model.action_size}"
         )
     layout = _arranged(environment.layout, policy.layout, environment.model, name)
-    widths = {name: jnp.float32(value) for name, value in policy.disturbance_widths.items()}
-    scale = with_leaves(params.observed_disturbance, **widths)
-    return dataclasses.replace(environment, layout=layout), params.replace(disturbance_scale=scale)
+    own = layout.with_spans(environment.model, params)
+    spans: list[tuple[float, float]] = []
+    for here, there in zip(own.fields, policy.layout.fields, strict=True):
+        spans += there.span or here.span or [(-1.0, 1.0)] * here.size
+    low, high = (jnp.asarray(ends, jnp.float32) for ends in zip(*spans, strict=True))
+    least, most = (jnp.asarray(x, jnp.float32) for x in (policy.command_low, policy.command_high))
+    scales = Scales(observed=(low, high), commanded=(least, most))
+    return dataclasses.replace(environment, layout=layout), params.replace(scales=scales)
 
 
 def _arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) -> Layout:
@@ -98,30 +94,15 @@ def _arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) ->
 
 
 def command_ranges(environment: Race, params: RaceParams) -> Ranges:
-    """Lowest and highest command (actions,) of the environment's vehicle."""
-    ends = environment.model.command_range(params.vehicle.constants)
+    """Lowest and highest command (actions,) of the policy or, without one, of the vehicle."""
+    ends = command_range(environment.model, params)
     low, high = (np.array([float(x) for x in jax.tree.leaves(end)]) for end in ends)
     return low, high
 
 
-def make_pilot(environment: Race, params: RaceParams, policy: Policy, deterministic: bool) -> Pilot:
-    """The policy with the conversions to and from the environment's scaling.
-
-    Args:
-        environment: the race, from ``fit_race``.
-        params: its numbers, from ``fit_race``.
-        policy: the policy.
-        deterministic: fly the mean rather than samples.
-    """
-    vehicle = command_ranges(environment, params)
-    # Rounded as the environment's numbers are: equal ranges convert by exactly one and zero.
-    training_range = _rounded(policy.command_low, policy.command_high)
-    act_scale, act_offset = _between(training_range, vehicle)
-    see_scale, see_offset = _observation_scale(
-        environment.layout.with_spans(environment.model, params), policy.layout
-    )
-    numbers = (see_scale, see_offset, act_scale, act_offset, *vehicle, float(not deterministic))
-    return Pilot(policy.on_device(), *(jnp.asarray(x, jnp.float32) for x in numbers))
+def make_pilot(policy: Policy, deterministic: bool) -> Pilot:
+    """A policy that flies the mean of its actions or samples, in the race of ``fit_race``."""
+    return Pilot(policy.on_device(), jnp.float32(not deterministic))
 
 
 def in_scaling_of(
@@ -146,7 +127,7 @@ def in_scaling_of(
         _rounded(policy.command_low, policy.command_high),
     )
     layout = environment.layout.with_spans(environment.model, params)
-    see, act = _observation_scale(layout, policy.layout, ()), _between(own, limits)
+    see, act = _observation_scale(layout, policy.layout), _between(own, limits)
     if all(np.all(scale == 1.0) and np.all(offset == 0.0) for scale, offset in (see, act)):
         return policy
     pair = " to ".join(f"{x.tolist()}" for x in own), " to ".join(f"{x.tolist()}" for x in limits)
@@ -176,14 +157,12 @@ def _converted(layers: Layers, scale: np.ndarray, offset: np.ndarray) -> Layers:
     return ((scale[:, None] * kernel, bias + offset @ kernel), *rest)
 
 
-def _observation_scale(
-    environment: Layout, training: Layout, left_out: Collection[str] = tuple(DISTURBANCES)
-) -> Ranges:
+def _observation_scale(environment: Layout, training: Layout) -> Ranges:
     """Scale and offset from what an environment shows to what a policy was trained with."""
     scale, offset = np.ones(training.size), np.zeros(training.size)
     for field in training.fields:
         span, training_span = environment[field.name].span, field.span
-        if span is None or training_span is None or field.name in left_out:
+        if span is None or training_span is None:
             continue
         here, there = _rounded(*np.transpose(span)), _rounded(*np.transpose(training_span))
         columns = training.slice(field.name)
@@ -207,15 +186,9 @@ def _between(source: Ranges, target: Ranges) -> Ranges:
     return scale, (high + low - to_high - to_low) / width
 
 
-def see(pilot: Pilot, observation: jax.Array) -> jax.Array:
-    """An environment's observation (k,) in the scaling of the policy's training."""
-    return observation * pilot.see_scale + pilot.see_offset
-
-
 def fly(pilot: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
-    """The environment's action (actions,) for an observation (k,), with normal ``noise``."""
-    action = act_sampled(pilot.policy, see(pilot, observation), pilot.noise * noise)
-    return jnp.clip(action, -1.0, 1.0) * pilot.act_scale + pilot.act_offset
+    """The action (actions,) for an observation (k,), with normal ``noise``."""
+    return act_sampled(pilot.policy, observation, pilot.noise * noise)
 
 
 def fly_policy(
@@ -245,5 +218,5 @@ def fly_policy(
         InputError: the policy does not fit the vehicle.
     """
     environment, params = fit_race(environment, params, policy, name)
-    pilot = make_pilot(environment, params, policy, deterministic)
+    pilot = make_pilot(policy, deterministic)
     return fly_laps(environment, params, actor, pilot, jax.random.key(seed), **flight)

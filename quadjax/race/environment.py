@@ -20,6 +20,7 @@ from quadjax.core.traced import with_leaves
 from quadjax.race import episode
 from quadjax.race.layout import LAST_ACTION, Layout
 from quadjax.race.memory import advanced
+from quadjax.race.observations import command_range
 from quadjax.race.rewards import reward
 from quadjax.race.rules import NOT_FINITE, evaluate_rules
 from quadjax.race.track import gate, gate_count
@@ -96,11 +97,17 @@ class Race(Environment[RaceParams, RaceState]):
         return numbers if params.observation_scale is None else numbers * params.observation_scale
 
     def command(self, params: RaceParams, action: jax.Array | tuple[jax.Array, ...]) -> Command:
-        """The command of an action (action_size,): clipped to [-1, 1], scaled to its range."""
+        """The command of an action (action_size,): clipped to [-1, 1], scaled to its range.
+
+        That of a policy is clipped to the range of the vehicle too.
+        """
         parts = [clip_inward(action[index], -1.0, 1.0) for index in range(self.action_size)]
-        low, high = self.model.command_range(params.vehicle.constants)
+        low, high = command_range(self.model, params)
         unit = jax.tree.unflatten(jax.tree.structure(low), parts)
-        return jax.tree.map(lambda u, lo, hi: lo + 0.5 * (hi - lo) * (u + 1.0), unit, low, high)
+        sent = jax.tree.map(lambda u, lo, hi: lo + 0.5 * (hi - lo) * (u + 1.0), unit, low, high)
+        if params.scales is None:
+            return sent
+        return jax.tree.map(jnp.clip, sent, *self.model.command_range(params.vehicle.constants))
 
     def transition(
         self, params: RaceParams, state: RaceState, action: jax.Array

@@ -68,14 +68,17 @@ class ObservedField:
             return (self.name,)
         return tuple(f"{self.name}[{i}]" for i in range(self.size))
 
-    def numbers(self, step: Step) -> list[jax.Array]:
-        """The field's network inputs, after scaling."""
+    def numbers(self, step: Step, ends: Bounds | None = None) -> list[jax.Array]:
+        """The field's network inputs, scaled by ``ends``, or by its own ``scale`` without these."""
         assert self.value is not None, self.name
         values = user_numbers(f"observation field {self.name!r}", self.value, step, self.size)
         if self.scale is None:
             return values
         low, high = map(jax.tree.leaves, self.scale(step.model, step.params))
-        low = low or [None] * len(high)
+        symmetric = not low
+        if ends is not None:
+            low, high = ([end[i] for i in range(self.size)] for end in ends)
+        low = [None] * self.size if symmetric else low
         return [scale_to_unit(*x) for x in zip(values, low, high, strict=True)]
 
 
@@ -144,8 +147,14 @@ class Layout:
         return slice(start, start + self[name].size)
 
     def numbers(self, step: Step) -> list[jax.Array]:
-        """All numbers of one observation, each ()."""
-        return [number for field in self.fields for number in field.numbers(step)]
+        """All numbers of one observation, each (), scaled by ``params.scales`` if there are any."""
+        numbers: list[jax.Array] = []
+        for field in self.fields:
+            ends, place = None, slice(len(numbers), len(numbers) + field.size)
+            if (scales := step.params.scales) is not None:
+                ends = scales.observed[0][place], scales.observed[1][place]
+            numbers += field.numbers(step, ends)
+        return numbers
 
     def with_spans(self, model: VehicleModel, params: RaceParams) -> "Layout":
         """The layout with the numbers of every scale."""

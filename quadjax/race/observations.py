@@ -90,7 +90,7 @@ def _actuators(step: Step) -> Numbers:
 
 def _last_action(step: Step) -> Numbers:
     """The command of the step before, which the range of commands scales to the action."""
-    low, high = map(jax.tree.leaves, _command_range(step.model, step.params))
+    low, high = map(jax.tree.leaves, command_range(step.model, step.params))
     return [between(*x) for x in zip(low, high, step.memories[LAST_ACTION], strict=True)]
 
 
@@ -125,12 +125,18 @@ def _highest_rpm(source: Source, step: Step) -> Numbers:
 # Scales: of the nominal drone, as drawn constants are not known to a policy.
 
 
-def _command_range(model: VehicleModel, params: RaceParams) -> Bounds:
-    return model.command_range(params.vehicle.constants)
+def command_range(model: VehicleModel, params: RaceParams) -> Bounds:
+    """The lowest and highest command, which actions of -1 and 1 stand for."""
+    ends = model.command_range(params.vehicle.constants)
+    if params.scales is None:
+        return ends
+    kind, count = jax.tree.structure(ends[0]), model.action_size
+    low, high = ([end[i] for i in range(count)] for end in params.scales.commanded)
+    return jax.tree.unflatten(kind, low), jax.tree.unflatten(kind, high)
 
 
 def _limit_range(model: VehicleModel, params: RaceParams) -> Bounds:
-    highest = jax.tree.leaves(_command_range(model, params)[1])[0]
+    highest = jax.tree.leaves(model.command_range(params.vehicle.constants)[1])[0]
     return (LOWEST * highest,), (highest,)
 
 
@@ -142,7 +148,7 @@ def _actuator_range(span: Span | None, model: VehicleModel, params: RaceParams) 
 
 
 def _half_widths(names: Sequence[str], _: VehicleModel, params: RaceParams) -> Bounds:
-    return None, [getattr(params.observed_disturbance, name) for name in names]
+    return None, [getattr(params.disturbance, name) for name in names]
 
 
 # The observed disturbances by field, as the section ``disturbance`` of a config names them.
@@ -178,7 +184,7 @@ def fields_of(
         table.append(field(f"next{count}_yaw", 1, "rad", "gate", 4.0, yaw))
     table += [
         field(
-            *(LAST_ACTION, model.action_size, "", "", 1.0, _last_action, _command_range),
+            *(LAST_ACTION, model.action_size, "", "", 1.0, _last_action, command_range),
             by_rotor=model.by_rotor,
         ),
         field("moment_ext", 3, "N m", "body", 2.0, bind(_moment, source), moment, source),

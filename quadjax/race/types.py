@@ -47,17 +47,10 @@ class RaceParams(struct.PyTreeNode):
     estimator: EstimatorParams | None = None  # where the observation is estimated
     battery: Battery | None = None  # where it limits the commands
     delay: tuple[jax.Array, jax.Array] | None = None  # s, of commands: lowest and highest
-    # Scale of the observed disturbances where it is not the drawn range: a policy keeps the scale
-    # that it was trained with.
-    disturbance_scale: Disturbance | None = None
+    scales: "Scales | None" = None  # of a policy; None: those of the race's own vehicle
     observation_scale: jax.Array | None = None  # (layout.size,), in training; None: not scaled
     # () bool that is true; see ``quadjax.core.materialize``. None: nothing is materialized.
     opaque_true: jax.Array | None = None
-
-    @property
-    def observed_disturbance(self) -> Disturbance:
-        """Half-widths that scale the observed disturbances."""
-        return self.disturbance if self.disturbance_scale is None else self.disturbance_scale
 
     def on_track(self, track: Track | None) -> "RaceParams":
         """The race on the track of one episode, if it has its own."""
@@ -68,6 +61,13 @@ class RaceParams(struct.PyTreeNode):
         if state.constants is None:
             return self.vehicle
         return dataclasses.replace(self.vehicle, constants=state.constants)
+
+
+class Scales(struct.PyTreeNode):
+    """The ranges that a policy scales to [-1, 1], lowest and highest: those of its training."""
+
+    observed: tuple[jax.Array, jax.Array]  # (layout.size,) each; no effect on what is not scaled
+    commanded: tuple[jax.Array, jax.Array]  # (action_size,) each
 
 
 class RaceState(struct.PyTreeNode):

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 
@@ -151,16 +152,24 @@ def test_a_track_of_many_gates_has_its_own_self_tests(tmp_path):
     library(fixed_policy(policy, own, states, np.arange(40) * 7, **many), tmp_path)
 
 
-def test_a_policys_own_limits_are_the_vehicles():
-    for name, limits, high in (
-        ("e2e", {"rpm_min": 3000.0, "rpm_max": 12000.0}, [12000.0] * 4),
-        ("indi", {"r_max": 2.0, "thrust_max": 16.0}, [3.0, 3.0, 2.0, 16.0]),
+def test_actions_span_the_policys_own_limits_within_the_vehicles():
+    for name, low, high in (
+        ("e2e", [2000.0] * 4, [12000.0] * 4),
+        ("indi", [-3.0, -3.0, -2.0, 0.0], [3.0, 3.0, 2.0, 16.0]),
     ):
         policy, own = made(name)
-        low = policy.command_low if name == "e2e" else -np.array([3.0, 3.0, 2.0, 0.0])
-        changed = dataclasses.replace(policy, command_low=low, command_high=np.array(high))
-        constants = race_source.policy_race(own.config, changed, "test").params.vehicle.constants
-        assert {key: float(getattr(constants, key)) for key in limits} == limits
+        changed = dataclasses.replace(
+            policy, command_low=np.array(low), command_high=np.array(high)
+        )
+        race = race_source.policy_race(own.config, changed, "test")
+        constants = race.params.vehicle.constants
+        ends = race.environment.model.command_range(constants)
+        for action, wanted, limit in ((-1.0, low, ends[0]), (1.0, high, ends[1])):
+            sent = race.environment.command(race.params, np.full(4, action, np.float32))
+            clip = np.maximum if action < 0 else np.minimum
+            np.testing.assert_allclose(
+                jax.tree.leaves(sent), clip(wanted, jax.tree.leaves(limit)), rtol=1e-6
+            )
 
 
 def test_a_gate_far_away_widens_the_ranges(tmp_path):

@@ -41,8 +41,6 @@ POLICIES = [  # words of the message, changes of the policy, its race or its exp
     ("layer 1, row 0.* range proof fails", weighted(1e6)),
     ("layer 0, row 0.*unsupported", {"activation": "tanh"}),
     ("65535", {"command_high": np.full(4, 70000.0)}),
-    ("no motor vehicle has these limits.*rpm_min, rpm_max", {"command_low": np.arange(4.0)}),
-    ("no rate vehicle has these limits", {"name": "indi", "command_low": np.full(4, -1.0)}),
     (
         "log_std 0: a standard deviation of .* allowed: 0 to",
         {"log_std": np.full(4, 20.0, np.float32), "options": ALLOWED | {"sampled": True}},
