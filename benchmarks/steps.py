@@ -46,6 +46,7 @@ WITHOUT = {
     "E2E, highest speed observed": Step("e2e_cyberzoo", ("observation.highest_rpm=estimated",)),
     "E2E, lag drawn": Step("e2e_cyberzoo", ("randomization.constants={tau: 0.3}",)),
 }
+PARTS = ("E2E, 12000 rpm", *WITHOUT)  # of E2E
 OBSERVED = ("observation.highest_rpm=estimated",)
 TRAINED = {  # for a battery that gets empty
     "E2E": ("vehicle.constants.rpm_max=12000",),

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from benchmarks.comparison_tables import contenders, effects, lead_rows, steps
 from benchmarks.plant_tables import CHARGES, charged, looped, unchanged
 from benchmarks.settings import Tree
-from benchmarks.steps import STEPS, WITHOUT
+from benchmarks.steps import PARTS, STEPS
 
 CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
 BODIES = ("body", "hall")
@@ -75,6 +75,7 @@ COLUMNS: dict[str, Callable[[Tree], str]] = {
 BODY = "sampled|with a body=body|body and hall=hall|random starts"
 BODY += "|random starts, with a body=random starts, body"
 SCORED = "drones and seeds|score, s|of each seed, s|time, s|finished"
+OF_PARTS = f"E2E=contender|{SCORED}|simulated, s"
 LEADS = "score, s|first lap, s|each later lap, s"
 MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"
 TABLES = {
@@ -94,11 +95,7 @@ TABLES = {
     "interventions": Table(
         "interventions", f"step=contender|{SCORED}", lambda data: steps(data, STEPS)
     ),
-    "without": Table(
-        "interventions",
-        f"E2E=contender|{SCORED}|simulated, s",
-        lambda data: steps(data, ("E2E, 12000 rpm", *WITHOUT)),
-    ),
+    "without": Table("interventions", OF_PARTS, lambda data: steps(data, PARTS)),
     "effects": Table("interventions", "from|to|trainings|saved, s", effects),
 }
 

@@ -164,7 +164,7 @@ def load_groups(
         if not pattern:
             raise InputError(f"{word or repr(word)}: expected LABEL=FILE")
         if not paths:
-            raise InputError(f"{pattern}: no such file (--flights)")
+            raise InputError(f"{pattern}: no such file")
         if len(paths) > MAX_FILES:
             raise InputError(f"{pattern}: {len(paths)} files, expected 1 to {MAX_FILES}")
         for path in map(Path, paths):

@@ -74,7 +74,7 @@ def test_code_of_a_found_file_is_imported_only_if_the_user_names_a_config(
     config = ["mine.yaml"] if command[0] == "evaluate" else ["--race", "mine.yaml"]
     assert run(*command, *(config if named else [])) == 2
     error = capsys.readouterr().err
-    option = "quadjax evaluate CONFIG" if command[0] == "evaluate" else "--race CONFIG"
+    option = "CONFIG or --race CONFIG"
     assert ("has no 'MODEL'" if named else f"{NAMES}{option})") in " ".join(error.split())
     assert ran(foreign) == named
 
@@ -120,7 +120,10 @@ def test_python_loads_the_code_of_a_run_only_for_a_named_config(foreign):
         lambda: training.evaluate_seed(foreign, 1),
         lambda: curves.learning_figure({"rf": [foreign]}),
     ):
-        with pytest.raises(InputError, match=r"name the config of its race \(config=CONFIG\)"):
+        with pytest.raises(
+            InputError,
+            match=r"name the config of its race \(CONFIG or --race CONFIG\)",
+        ):
             load()
     assert not ran(foreign)
     with pytest.raises(InputError, match="has no 'MODEL'"):
@@ -141,7 +144,7 @@ def log_config(folder):
         ("fit", "columns.yaml"),
         ("view", "log.csv", "--logs", "columns.yaml"),
         ("replay", "log.csv", "--vehicle", "bebop1", "--logs", "columns.yaml"),
-        ("evaluate", "--flights", "log.csv", "--logs", "columns.yaml"),
+        ("report", "log.csv", "--logs", "columns.yaml"),
     ],
     ids=" ".join,
 )
@@ -162,6 +165,6 @@ def test_a_reader_of_logs_on_the_command_line_is_imported(foreign, capsys):
     assert run("fit", path, "logs.format=foreign:FORMAT") == 2
     assert "has no 'FORMAT'" in capsys.readouterr().err and ran(foreign)
     assert load_fit_config(path, ["logs={format: foreign:FORMAT}"]).logs.format != "plain"
-    with pytest.raises(InputError, match="only with allow_code=True"):
+    with pytest.raises(InputError, match="only with --allow-code"):
         load_fit_config(path, ["logs.files=[a.csv]"])
     assert LogsConfig(format="foreign:FORMAT").format == "foreign:FORMAT"

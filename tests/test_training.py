@@ -174,7 +174,7 @@ def test_a_damaged_checkpoint_is_refused_before_anything_is_compiled(tmp_path, m
         if path.is_file():
             path.write_bytes(b"")
     monkeypatch.setattr(training, "_compile", None)
-    with pytest.raises(InputError, match=r"checkpoint 128 cannot be read .*overwrite=True"):
+    with pytest.raises(InputError, match=r"checkpoint 128 cannot be read .*--overwrite"):
         training.train(config, tmp_path, resume=True)
 
 

@@ -27,6 +27,7 @@ STARTED = time.monotonic()  # training time counts from here: imports and compil
 COMMANDS = {  # by name, which is that of the module: one line of help
     "train": "train a racing policy, with one seed or several",
     "evaluate": "time the laps of policies and draw them",
+    "report": "write tables and figures of recorded flights",
     "view": "write flights as an interactive 3D page",
     "limit": "compute the best known lap of a track",
     "sweep": "search hyperparameters",
@@ -111,7 +112,6 @@ def call(command: Callable[..., int | None], name: str, argv: Sequence[str]) -> 
         from cyclopts import CycloptsError, MissingArgumentError
 
         from quadjax.cli.files import check_outputs
-        from quadjax.cli.options import SET_OPTIONS
         from quadjax.cli.output import ARGUMENTS
 
     app = application(command, name)
@@ -132,7 +132,6 @@ def call(command: Callable[..., int | None], name: str, argv: Sequence[str]) -> 
             text = f"Invalid value for {option}: {text}"
         raise InputError(f"{text} (try --help)") from error
     check_outputs(command, bound.arguments)
-    SET_OPTIONS.set(frozenset(bound.arguments))
     ARGUMENTS.set([*name.split(maxsplit=1), *argv])
     return command(*bound.args, **bound.kwargs)
 

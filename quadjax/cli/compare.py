@@ -66,7 +66,7 @@ def compare(
     """
     opt.check_shares(runs, drones)
     if conditions is None:
-        opt.refuse("without --conditions", "only")
+        opt.refuse("without --conditions", only=only)
     with loading():
         from quadjax.core.plotting import save_figure
         from quadjax.core.yaml_files import to_yaml

@@ -5,14 +5,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.export import Ranges
 from quadjax.cli.output import steps, wrote
-from quadjax.core.errors import InputError, warn
+from quadjax.core.errors import InputError
 from quadjax.core.files import write_json
-from quadjax.core.folders import results
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED, policy_names
 
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
     from quadjax.policy.file import Policy
     from quadjax.race.laps import Actor
 
-OF_LAPS = ("fixed_point", "range_", "offsets", "states", "figures")
-RECORDED = Group("Recorded flights, in place of policies", sort_key=2)
 States = Annotated[
     Path | None, opt.Output((".npz", ".csv")), Parameter(metavar="FILE.npz|.csv", group=opt.FILES)
 ]
@@ -51,10 +48,6 @@ def evaluate(
     body: Annotated[opt.Positive | None, Parameter(metavar="RADIUS")] = None,
     offsets: opt.Flag = False,
     format: Literal["text", "markdown", "latex"] | None = None,
-    flights: Annotated[list[str] | None, Parameter(metavar="[LABEL=]FILE", group=RECORDED)] = None,
-    logs: Annotated[opt.Logs, Parameter(group=RECORDED)] = opt.PLAIN_LOGS,
-    report: Annotated[opt.Folder, Parameter(group=RECORDED)] = Path("runs/report"),
-    overwrite: Annotated[opt.Overwrite, Parameter(group=RECORDED)] = False,
     json: opt.AnyFile = None,
     states: States = None,
     figures: Annotated[opt.Folder | None, Parameter(group=opt.FILES)] = None,
@@ -81,11 +74,6 @@ def evaluate(
     - plants: drawn drones of a plant, without each effect, and with each alone;
     - rates: the policy at 100, 250 and 512 Hz on drawn drones of a plant.
 
-    With --flights, recorded flights are evaluated: states of an earlier --states
-    FILE.npz, or flight logs (.csv, a glob pattern for several). DIR gets tables and
-    figures as text, LaTeX, PDF, SVG and PNG. CONFIG is the race of logs (default: e2e);
-    states contain the gates and constants of the race that was flown.
-
     Example: quadjax evaluate --policy e2e --laps 6 --figures lap
 
     Args:
@@ -105,27 +93,25 @@ def evaluate(
         body: Radius of the drone, m: gates, bounds and ground are closer by it.
         offsets: Print the distances from the gates' centers.
         format: Format of the table (default: text, with --conditions markdown).
-        flights: A group of flights, with its label; may be repeated.
-        report: Folder of the tables and figures.
         json: Write the laps, or the numbers of the conditions.
         states: Write all trajectories.
         figures: Draw the flight: trajectory.png, perspective.png and signals.png.
     """
-    if flights is not None:
-        opt.refuse_others("with --flights", "flights", "logs", "report", "overwrite")
-        return _report(config, overrides, flights, logs, report, overwrite)
-    opt.refuse("without --flights", "logs", "report", "overwrite")
-    opt.exclude("laps", "gates", "seconds")
+    opt.exclude(laps=laps, gates=gates, seconds=seconds)
     if plant is None:
-        opt.refuse("without --plant", "drones")
+        opt.refuse("without --plant", drones=drones)
     opt.check_shares(runs, drones)
     if policy is None and config is not None:
         raise InputError("--policy is missing: the file of the policy, or a shipped one's name")
     if not fixed_point:
-        opt.refuse("without --fixed-point", "range_")
+        opt.refuse("without --fixed-point", range_=range_)
     ranges = opt.by_name("--range", range_)
     files = list(policy or ()) or [PRETRAINED / f"{name}.npz" for name in policy_names()]
-    listed = _listed("protocols" if conditions is None and len(files) > 1 else conditions, only)
+    of_laps: dict[str, object] = {"fixed_point": fixed_point, "range_": range_, "offsets": offsets}
+    of_laps |= {"states": states, "figures": figures}
+    given = {"start": start, "deterministic": deterministic}
+    named = "protocols" if conditions is None and len(files) > 1 else conditions
+    listed = _listed(named, only, of_laps, given)
     entries = [_entry(file, config, overrides) for file in files]
     with loading():
         from quadjax.evaluation.evaluate import evaluate as fly
@@ -149,18 +135,27 @@ def evaluate(
     wrote(json, states, f"{figures}/" if figures else None)
 
 
-def _listed(name: str | None, only: list[str] | None) -> "Conditions | None":
-    """A list of conditions, if one is named; options without effect are refused."""
+def _listed(
+    name: str | None,
+    only: list[str] | None,
+    of_laps: Mapping[str, object],
+    given: Mapping[str, object],
+) -> "Conditions | None":
+    """A list of conditions, if one is named; options without effect are refused.
+
+    Options ``of_laps`` have one without conditions, those ``given`` where not all conditions set
+    them.
+    """
     from quadjax.evaluation.conditions import read_conditions
 
     if name is None:
-        opt.refuse("without --conditions", "only")
+        opt.refuse("without --conditions", only=only)
         return None
     listed = read_conditions(name, only)
-    opt.refuse(f"with --conditions {name}", *OF_LAPS)
-    for key in ("start", "deterministic"):
+    opt.refuse(f"with --conditions {name}", **of_laps)
+    for key, value in given.items():
         if all(getattr(condition, key) is not None for condition in listed.conditions):
-            opt.refuse(f"with --conditions {name}", key)
+            opt.refuse(f"with --conditions {name}", **{key: value})
     return listed
 
 
@@ -177,11 +172,7 @@ def _entry(
 
     race = None if config is None else load_config(config, overrides)
     policy = Policy.load(path, race)
-    try:
-        race, _ = race_of_policy(policy, path, race)
-    except InputError as error:
-        text = str(error).replace("config=CONFIG", "quadjax evaluate CONFIG")
-        raise InputError(text) from None
+    race, _ = race_of_policy(policy, path, race)
     fit_race(*make_race(race), policy, str(path))
     return str(path), (policy, race)
 
@@ -238,28 +229,3 @@ def _write(
             save_figure(figure, figures / f"{name}.png")
     if json is not None:
         write_json(json, evaluation.to_json())
-
-
-def _report(
-    config: str | None,
-    overrides: Sequence[str],
-    flights: Sequence[str],
-    logs: opt.Logs,
-    folder: Path,
-    overwrite: bool,
-) -> None:
-    """Tables and figures of recorded flights."""
-    from quadjax.config.loading import load_config
-    from quadjax.evaluation.report import FILES as REPORT_FILES
-    from quadjax.evaluation.report import Report
-    from quadjax.sources import load_groups
-
-    race = load_config(config or "e2e", overrides)
-    groups = load_groups(flights, race.track, logs.columns() if logs.logs else None)
-    report = Report(groups, race)
-    if config is not None and tuple(report.gates) != race.track.gates:
-        warn(f"the flights are on another track than {race.track.name}, that of {config}")
-    with results(folder, "report", REPORT_FILES, overwrite) as new:
-        text = report.write(new)
-    print(text)
-    wrote(f"{folder}/")

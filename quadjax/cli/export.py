@@ -89,6 +89,9 @@ def export(
 
 def verification(output: Path, allow_unfinished: bool, allow_other_race: bool) -> str:
     """The command that verifies an export, with the allowances that it needs too."""
-    allowances = {"--allow-unfinished": allow_unfinished, "--allow-other-race": allow_other_race}
+    allowances = {
+        "--allow-unfinished": allow_unfinished,
+        "--allow-other-race": allow_other_race,
+    }
     used = [option for option, value in allowances.items() if value]
     return quadjax_command("verify", output, *used)

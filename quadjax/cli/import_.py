@@ -69,7 +69,8 @@ def import_(
     networks, deviations = sort_files([text for text in files if not is_override(text)], std)
     sign = None if thrust_sign is None else int(thrust_sign)
     if len(networks) == 2:
-        opt.refuse("on a residual", "activation", "std", "motors", "actuator_range")
+        of_policy = {"activation": activation, "std": std, "motors": motors}
+        opt.refuse("on a residual", **of_policy, actuator_range=actuator_range)
         write_residual(
             output,
             residual_of(race.vehicle, networks, sign, residual_range),
@@ -79,9 +80,9 @@ def import_(
         return
     residual = None
     if len(networks) == 1:
-        opt.refuse("on a policy", "thrust_sign", "residual_range")
+        opt.refuse("on a policy", thrust_sign=thrust_sign, residual_range=residual_range)
     else:
-        opt.refuse("on a residual, import it alone", "motors")
+        opt.refuse("on a residual, import it alone", motors=motors)
         residual = residual_of(race.vehicle, networks[1:], sign, residual_range)
         vehicle = race.vehicle.replace(residual=None, residual_gain=1.0)  # the files' instead
         race = race.replace(vehicle=vehicle)

@@ -67,8 +67,8 @@ def limit(
         from quadjax.limits.result import save_unverified
         from quadjax.limits.search import NotFoundError
 
-    opt.exclude("laps", "gates")
-    opt.exclude("centers", "clearance")
+    opt.exclude(laps=laps, gates=gates)
+    opt.exclude(centers=centers, clearance=clearance or None)
     race = load_config(config, overrides)
     flight = Flight(gates, laps, stop, None if centers else clearance, speed)
     search = {"policy": policy, "guesses": guess, "starts": starts, "seconds": seconds}

@@ -5,12 +5,11 @@ an argument becomes a value, which values are allowed, and what the help prints.
 several values is a tuple of such a type.
 """
 
-import contextvars
 import dataclasses
 import functools
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,33 +24,27 @@ if TYPE_CHECKING:
     from quadjax.fitting.config import LogsConfig
 
 PICTURES = (".png", ".svg", ".pdf")
-SET_OPTIONS: contextvars.ContextVar[frozenset[str]] = contextvars.ContextVar(
-    "SET_OPTIONS", default=frozenset()
-)
 
 
-def refuse(why: str, *names: str) -> None:
-    """Refuse options on the command line that have no effect.
+def refuse(why: str, **options: object) -> None:
+    """Refuse options that have no effect where they have a value.
 
     Args:
         why: text after "has no effect", such as "with --seeds".
-        names: of the arguments of the command.
+        options: their values by name; None and False are those of options that are not given.
     """
-    for name in names:
-        if name in SET_OPTIONS.get():
-            raise InputError(f"{option_name(name)} has no effect {why}")
+    for name in _given(options):
+        raise InputError(f"{option_name(name)} has no effect {why}")
 
 
-def refuse_others(why: str, *names: str) -> None:
-    """Refuse all options on the command line but those that have an effect; see ``refuse``."""
-    refuse(why, *sorted(SET_OPTIONS.get() - {*names, "config", "overrides"}))
+def exclude(**options: object) -> None:
+    """Refuse values of two or more of these options together."""
+    if len(names := [option_name(name) for name in _given(options)]) > 1:
+        raise InputError(f"{' and '.join(names)} exclude each other")
 
 
-def exclude(*names: str) -> None:
-    """Refuse two or more of these options together."""
-    names_set = [option_name(name) for name in names if name in SET_OPTIONS.get()]
-    if len(names_set) > 1:
-        raise InputError(f"{' and '.join(names_set)} exclude each other")
+def _given(options: Mapping[str, object]) -> list[str]:
+    return [name for name, value in options.items() if value is not None and value is not False]
 
 
 def reads(convert: Callable[[str], Any], **named: Any) -> Parameter:

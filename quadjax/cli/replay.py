@@ -67,7 +67,7 @@ def replay(
     if vehicle is None:
         if policy is None:
             raise InputError("--policy or --vehicle is required (try --help)")
-        opt.refuse("without --vehicle", "residual")
+        opt.refuse("without --vehicle", residual=residual)
     network = flown = drone = None
     if policy is not None:
         network = Policy.load(policy, race)

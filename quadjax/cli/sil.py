@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 STOPPING = b"\nstopping: a flight that has begun is saved; Ctrl-C again ends without saving\n"
 FAULTS = Group("Faults in states and commands", sort_key=2)
 UNITS = tuple(WRONG_UNITS)
+PLANT, DELAY = "cyberzoo", 20.0  # ms
 OF_NAN = f"FIELD=P with P of 0 to 1 and FIELD one of {', '.join(FIELDS)}"
 Nan = Annotated[str, opt.named_number(OF_NAN, lambda p: 0.0 <= p <= 1.0, tuple(FIELDS))]
 Probability = Annotated[float, opt.number(0.0, 1.0, metavar="P", group=FAULTS)]
@@ -32,16 +33,16 @@ def sil(
     source: Annotated[opt.Export, Parameter(name="DIR|POLICY")],
     /,
     *overrides: opt.Overrides,
-    target: Target = DEFAULT_TARGET,
+    target: Target | None = None,
     race: opt.Race = None,
-    plant: opt.PlantConfig = "cyberzoo",
+    plant: opt.PlantConfig | None = None,
     simulator: opt.Flag = False,
     laps: opt.Laps | None = None,
     runs: opt.Runs = 1,
     seed: opt.Seed = 0,
     drop: Probability = 0.0,
     late: Probability = 0.0,
-    delay: Annotated[float, opt.number(0.0, 10_000.0, metavar="MS", group=FAULTS)] = 20.0,
+    delay: Annotated[float | None, opt.number(0.0, 10_000.0, metavar="MS", group=FAULTS)] = None,
     nan: Annotated[tuple[Nan, ...] | None, Parameter(metavar="FIELD=P", group=FAULTS)] = None,
     wrong_unit: Annotated[list[str] | None, Parameter(choices=UNITS, group=FAULTS)] = None,
     view: opt.Flag = False,
@@ -57,7 +58,7 @@ def sil(
     command. The drone is a plant; key=value overrides change its config. With
     --simulator, it is the simulator that policies are trained in, which the
     models racing and a2rl need. OUTPUT/NAME gets states.npz (for quadjax view and
-    quadjax evaluate --flights), sil.json and table.txt.
+    quadjax report), sil.json and table.txt.
 
     Example: quadjax sil e2e --late 0.2 --delay 20
 
@@ -72,17 +73,18 @@ def sil(
         seed: Seed of drones and faults.
         drop: Probability that a state or command is dropped.
         late: Probability that a state or command is late.
-        delay: Delay of late states and commands, ms.
+        delay: Delay of late states and commands, ms (default: 20).
         nan: A number of a state's field is NaN; may be repeated.
         wrong_unit: Unit of a state's field; may be repeated.
         view: Show the flight in the browser.
     """
     name_of_source, source = source, _source_of(source)
-    opt.exclude("plant", "simulator")
+    opt.exclude(plant=plant, simulator=simulator)
     if source.is_dir():
-        opt.refuse("with the folder of an export", "target")
+        opt.refuse("with the folder of an export", target=target)
     if not late:
-        opt.refuse("without --late", "delay")
+        opt.refuse("without --late", delay=delay)
+    plant, target = plant or PLANT, target or DEFAULT_TARGET
     if simulator and overrides:
         raise InputError(f"{overrides[0]} has no effect with --simulator")
     nans, units = opt.by_name("--nan", nan), tuple(wrong_unit or ())
@@ -90,7 +92,7 @@ def sil(
         from quadjax.plant.config import load_plant_config
         from quadjax.sil.run import FILES, Setting, fly_all
 
-    faults = Faults(drop, late, delay / 1000.0, nans, units)
+    faults = Faults(drop, late, (DELAY if delay is None else delay) / 1000.0, nans, units)
     drone = None if simulator else load_plant_config(plant, overrides)
     setting = Setting(source, drone, laps, runs, seed, faults, race, target)
     folder = output / name

@@ -17,6 +17,7 @@ from quadjax.core.interruptions import loading
 if TYPE_CHECKING:
     from quadjax.config.schema import Config
 
+RUNS = 100
 SEEDS = Group("Several seeds", sort_key=2)
 
 
@@ -30,7 +31,7 @@ def train(
     overwrite: opt.Flag = False,
     fine_tune: opt.PolicyFile | None = None,
     seeds: Annotated[opt.Seeds | None, Parameter(group=SEEDS)] = None,
-    runs: Annotated[opt.Runs, Parameter(group=SEEDS)] = 100,
+    runs: Annotated[opt.Runs | None, Parameter(group=SEEDS)] = None,
     figure: opt.Picture = None,
 ) -> int:
     """Train a racing policy.
@@ -53,7 +54,7 @@ def train(
         overwrite: Remove an earlier run of the same name first.
         fine_tune: Continue from a policy and its critic, with all schedules at their ends.
         seeds: Train with each of these seeds and compare the runs.
-        runs: Flights of each kind in the table of seeds.
+        runs: Flights of each kind in the table of seeds (default: 100).
         figure: Learning curves of the seeds (default: DIR/NAMES_seeds.png).
     """
     with loading():
@@ -61,13 +62,13 @@ def train(
         from quadjax.training.fine_tuning import fine_tuning
         from quadjax.training.folder import check_started
 
-    opt.exclude("overwrite", "resume")
+    opt.exclude(overwrite=overwrite, resume=resume)
     named = [*overrides, *([f"name={name}"] if name else [])]
     if seeds is not None:
-        opt.refuse("with --seeds", "resume", "fine_tune")
-        _train_seeds([config, *named], seeds, runs, output, figure, overwrite)
+        opt.refuse("with --seeds", resume=resume, fine_tune=fine_tune)
+        _train_seeds([config, *named], seeds, runs or RUNS, output, figure, overwrite)
         return 0
-    opt.refuse("without --seeds", "runs", "figure")
+    opt.refuse("without --seeds", runs=runs, figure=figure)
     settings = load_config(config, named)
     if fine_tune is not None:
         settings = fine_tuning(settings, fine_tune)

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
-from quadjax.core.errors import as_options, quadjax_command
+from quadjax.core.errors import quadjax_command
 from quadjax.core.files import check_file, write_json
 from quadjax.core.interruptions import loading
 from quadjax.export.names import POLICY_FILE, report_of
@@ -43,7 +43,8 @@ def verify(
     """
     is_file = folder.suffix == ".qjp"
     if is_file:
-        opt.refuse("on a .qjp file", "runs", "allow_unfinished", "allow_other_race", "race")
+        allowed = {"allow_unfinished": allow_unfinished, "allow_other_race": allow_other_race}
+        opt.refuse("on a .qjp file", runs=runs or None, race=race, **allowed)
         check_file(folder)
     else:
         report_of(folder)
@@ -55,7 +56,7 @@ def verify(
 
     def report(result: Result) -> None:
         _status("")
-        print(as_options(row_text(result, max(map(len, CHECKS)))), flush=True)
+        print(row_text(result, max(map(len, CHECKS))), flush=True)
 
     policy = folder if is_file else folder / POLICY_FILE
     results = verify_folder(

@@ -68,7 +68,7 @@ def with_body(config: Config, radius: float) -> Config:
     Raises:
         InputError: a radius for which an opening is too small.
     """
-    with prefixed(f"body_radius={radius:g}"):
+    with prefixed(f"a body radius of {radius:g} m"):
         rules = config.rules.replace(body_radius=radius or None, gate_test="interpolated")
         config = config.replace(rules=rules)
         check(config)

@@ -213,7 +213,7 @@ def _refuse_code(tree: Mapping[str, Any], source: str, allowed: Collection[str] 
         if name not in allowed:
             raise InputError(
                 f"{source}: {key} is {name!r:.80}; code that this file names is not imported, name "
-                "the config of its race (config=CONFIG)"
+                "the config of its race (CONFIG or --race CONFIG)"
             )
 
 

@@ -44,7 +44,7 @@ def _printed_warnings() -> Iterator[None]:
         def print_line(
             message: Warning | str, category: type[Warning], *rest: Any, **named: Any
         ) -> None:
-            text = as_options(str(message))
+            text = str(message)
             if not issubclass(category, InputWarning):
                 show(message, category, *rest, **named)
             elif text not in printed:
@@ -152,7 +152,7 @@ def run_command(main: Callable[[], int | None]) -> int:
             raise
         line = PASSWORD.sub(r"\1***", line)
         line = re.sub(r"\S{201,}", lambda word: f"{word[0][:50]}...{word[0][-50:]}", line)
-        print(f"error: {short(as_options(line), MAX_LINE, str)}", file=sys.stderr)
+        print(f"error: {short(line, MAX_LINE, str)}", file=sys.stderr)
         return BAD_INPUT
 
 
@@ -163,13 +163,6 @@ def user_error(error: BaseException) -> str:
     lines = [f"{frame.filename}:{frame.lineno}" for frame in frames if frame.filename in USER_FILES]
     where = f" ({lines[-1]}; {DEBUG}=1 shows the traceback)" if lines else ""
     return f"{type(error).__name__}: {message}{where}"
-
-
-def as_options(text: str) -> str:
-    """A message of a function with its arguments as the options of the command line."""
-    text = text.replace("config=CONFIG", "--race CONFIG").replace("body_radius=", "--body ")
-    names = r"\b(allow_\w+|overwrite|resume)=True"
-    return re.sub(names, lambda word: f"--{word[1].replace('_', '-')}", text)
 
 
 def error_line(error: BaseException) -> str | None:

@@ -87,7 +87,7 @@ def check_kind(folder: Path | str, kind: str, files: Iterable[str] = ()) -> None
     if present is None and names:
         raise InputError(
             f"{folder} holds no {kind}, but {', '.join(names[:3])}{', ..' * bool(names[3:])}: "
-            "choose another folder, or replace these files (overwrite=True)"
+            "choose another folder, or replace these files (--overwrite)"
         )
 
 
@@ -132,7 +132,7 @@ def results(
     """
     with claim(folder, kind, files, overwrite):
         if not overwrite and any(any(Path(folder).glob(pattern)) for pattern in files):
-            either = "replace them (overwrite=True) or choose another name"
+            either = "replace them (--overwrite) or choose another name"
             raise InputError(f"{folder} already holds the results of {_noun(kind)}: {either}")
         with replacement(folder, files) as new:
             yield new

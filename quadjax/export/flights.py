@@ -119,7 +119,7 @@ def check_finished(laps: Laps | None, race: PolicyRace, who: str) -> str:
     if laps.finished < FINISHED * len(laps.crashes):
         where = f"track {race.track} ({race.origin})"
         raise InputError(
-            f"{who}: {said} of {where}, expected {FINISHED:.0%}; allow_unfinished=True accepts it"
+            f"{who}: {said} of {where}, expected {FINISHED:.0%}; --allow-unfinished accepts it"
         )
     return said
 

@@ -88,13 +88,13 @@ def check_new_folder(folder: Path, name: str, overwrite: bool) -> None:
         )
     if names and not overwrite:
         raise InputError(
-            f"{folder} holds an export already: replace it (overwrite=True) or choose another "
+            f"{folder} holds an export already: replace it (--overwrite) or choose another "
             "folder (--output)"
         )
     if others and not overwrite and kind_of(folder) is None:
         raise InputError(
             f"{folder} holds no export, but {others[0]}: choose another folder (--output), or "
-            "write next to these files (overwrite=True)"
+            "write next to these files (--overwrite)"
         )
 
 

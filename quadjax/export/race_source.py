@@ -64,7 +64,7 @@ def policy_race(config: Config, policy: Policy, origin: str, name: str = "policy
         if config.battery is None:
             raise InputError(
                 f"{origin}: battery is null, and {name} observes {HIGHEST_RPM}; give the config "
-                "that it was trained with (config=CONFIG)"
+                "that it was trained with (CONFIG or --race CONFIG)"
             )
         config = config.at("observation.highest_rpm", ESTIMATED)  # as on board
     environment, params = make_environment(config), make_params(config)
@@ -94,6 +94,6 @@ def check_race(policy: Policy, race: PolicyRace, file: Path) -> str:
     if difference := next(differences(own, race.config), None):
         raise InputError(
             f"{file.name}: trained in another race than {race.origin}: {difference}; "
-            "allow_other_race=True accepts it"
+            "--allow-other-race accepts it"
         )
     return "vehicle, track, rules and battery are those of the policy file"

@@ -208,7 +208,7 @@ def load_fit_config(
     if ":" in reader and not allow_code and reader != _format_of(parse_overrides(overrides)):
         raise InputError(
             f"{path}: logs.format is {reader!r:.80}; code that a config of flight logs names is "
-            "imported only with allow_code=True"
+            "imported only with --allow-code"
         )
     return config
 

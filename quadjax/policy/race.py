@@ -57,7 +57,9 @@ def race_of_policy(
     elif policy.config is not None:
         race, origin = stored_config(policy.config, str(name)), "the policy file's config"
     else:
-        raise InputError(f"{name}: has no config; name the config of its race (config=CONFIG)")
+        raise InputError(
+            f"{name}: has no config; name the config of its race (CONFIG or --race CONFIG)"
+        )
     if track is not None:
         race = with_track(race, track)
         origin = f"{origin}, track {track}"

@@ -99,7 +99,7 @@ class Checkpoints:
         except Exception as error:  # Orbax raises many kinds
             raise InputError(
                 f"{manager.directory}: checkpoint {step} cannot be read ({_reason(error)}): "
-                "replace the run (overwrite=True)"
+                "replace the run (--overwrite)"
             ) from error
         return restored
 

@@ -34,7 +34,7 @@ FILES = (
 )
 
 
-REPLACE = "replace the run (overwrite=True) or choose another name"
+REPLACE = "replace the run (--overwrite) or choose another name"
 
 
 def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) -> Config:
@@ -60,8 +60,8 @@ def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) 
     if saved or (folder / "policy.npz").exists():
         if not resume:
             raise InputError(
-                f"{folder} already contains a run: resume it (resume=True), replace it "
-                "(overwrite=True) or choose another name"
+                f"{folder} already contains a run: resume it (--resume), replace it "
+                "(--overwrite) or choose another name"
             )
         check_same(config, folder)
         if not saved and not is_finished(folder):
@@ -78,7 +78,7 @@ def check_started(folder: Path) -> None:
         return
     names = sorted(path.parent.name for path in folder.parent.glob("*/config.yaml"))
     runs = f"{', '.join(names) or 'none'}{close_match(folder.name, names)}"
-    raise InputError(f"{folder}: no run to resume (without resume=True one starts); runs: {runs}")
+    raise InputError(f"{folder}: no run to resume (without --resume one starts); runs: {runs}")
 
 
 def _inputs(config: Config) -> dict[str, bytes]:

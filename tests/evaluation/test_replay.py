@@ -143,7 +143,7 @@ def test_a_policy_replayed_on_its_own_log_observes_the_estimated_disturbance(tmp
     assert len(found["gate_times"]) == 8
     np.testing.assert_allclose(np.cumsum(found["lap_times"]), found["gate_times"][3::4], atol=1e-3)
     report = tmp_path / "report"
-    assert run("evaluate", "e2e", "--flights", f"plant={logs}/*.csv", "--report", report) == 0
+    assert run("report", f"plant={logs}/*.csv", "--output", report) == 0
     (flight,) = json.loads((report / "report.json").read_text())["groups"]["plant"]
     np.testing.assert_allclose(flight["laps"], found["lap_times"], atol=2e-3)
     assert found["commands"]["disturbance"] == "estimated from the log"

@@ -169,7 +169,7 @@ def test_one_signal_without_unit_and_measurements_is_drawn(groups):
 @pytest.mark.slow
 def test_the_command_writes_pdf_svg_and_png(tmp_path, capsys):
     path, out = states_file(tmp_path / "a.npz", [3.0]), tmp_path / "out"
-    assert run("evaluate", "--flights", f"E2E={path}", "--report", out) == 0
+    assert run("report", f"E2E={path}", "--output", out) == 0
     assert "3.00" in capsys.readouterr().out
     names = {file.name for file in out.iterdir()}
     for name in ("boxes", "gaps", "trajectories", "errors_1"):
@@ -179,7 +179,7 @@ def test_the_command_writes_pdf_svg_and_png(tmp_path, capsys):
     result = json.loads((out / "report.json").read_text())
     assert result["groups"]["E2E"][0]["laps"] == [3.0, 3.0] and "provenance" in result
     slower = states_file(tmp_path / "b.npz", [3.5], vehicle="racing")
-    again = ("evaluate", "--flights", slower, "--report", out)
+    again = ("report", slower, "--output", out)
     assert run(*again) == 2
     assert "replace them (--overwrite)" in capsys.readouterr().err
     assert json.loads((out / "report.json").read_text()) == result
@@ -189,8 +189,8 @@ def test_the_command_writes_pdf_svg_and_png(tmp_path, capsys):
     assert {"notes", "gaps.png"} <= names and "errors_1.png" not in names
     # A race whose vehicle file has no constants of the flights' model: no errors of commands.
     (tmp_path / "race.yaml").write_text("base: e2e_race\nvehicle: a2rl\n")
-    where = ("--report", tmp_path / "racing")
-    assert run("evaluate", tmp_path / "race.yaml", "--flights", f"E2E={path}", *where) == 0
+    where = ("--output", tmp_path / "racing")
+    assert run("report", f"E2E={path}", "--race", tmp_path / "race.yaml", *where) == 0
     names = {file.stem for file in (tmp_path / "racing").iterdir()}
     assert {"boxes", "gaps", "trajectories", "table", "report"} <= names
     assert not any(name.startswith("errors") for name in names)
@@ -199,5 +199,5 @@ def test_the_command_writes_pdf_svg_and_png(tmp_path, capsys):
 def test_flights_without_a_lap_are_refused(tmp_path, capsys):
     states_file(tmp_path / "b.npz", [3.0], crash_after=0.5)
     for file, says in ((PRETRAINED / "e2e.npz", "format is"), (tmp_path / "b.npz", "no flight")):
-        assert run("evaluate", "--flights", file, "--report", tmp_path / "out") == 2
+        assert run("report", file, "--output", tmp_path / "out") == 2
         assert says in capsys.readouterr().err and not (tmp_path / "out").exists()

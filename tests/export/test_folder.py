@@ -214,7 +214,7 @@ def test_a_folder_holds_one_export(tmp_path, no_flights):
     for path in stale:
         path.write_text("of a motor-level policy that was exported before, for another target")
     for name, message in (
-        ("first", "c holds an export already: replace it .overwrite=True. or .*folder .--output"),
+        ("first", "c holds an export already: replace it .--overwrite. or .*folder .--output"),
         ("second", "holds an export named 'first'"),
     ):
         with pytest.raises(InputError, match=message):

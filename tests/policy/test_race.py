@@ -170,12 +170,15 @@ def test_a_file_without_a_config_needs_one_that_is_named(races, tmp_path, capsys
         assert run(*words) == 2
         error = " ".join(capsys.readouterr().err.split())
         assert "alone.npz: has no config; name the config of its race" in error
-        option = "quadjax evaluate CONFIG" if words[0] == "evaluate" else "--race CONFIG"
+        option = "CONFIG or --race CONFIG"
         assert f"({option})" in error
         assert run(*words, *race) == 2
         assert "error: stopped" in capsys.readouterr().err
     assert len(races) == 4 and all(race == load_config("e2e") for race in races)
-    with pytest.raises(InputError, match=r"name the config of its race \(config=CONFIG\)"):
+    with pytest.raises(
+        InputError,
+        match=r"name the config of its race \(CONFIG or --race CONFIG\)",
+    ):
         convert.export_c(path, tmp_path / "c")
 
 

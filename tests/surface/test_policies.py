@@ -85,7 +85,7 @@ def test_a_policy_file_without_a_config_flies_where_one_is_named(tmp_path, capsy
     words = ("--policy", path, "--runs", 2, "--gates", 1, "--deterministic", "--json", laps)
     assert run("evaluate", *words) == 2
     error = " ".join(capsys.readouterr().err.split())
-    assert "own.npz: has no config; name the config of its race (quadjax evaluate CONFIG)" in error
+    assert "own.npz: has no config; name the config of its race (CONFIG or --race CONFIG)" in error
     assert run("evaluate", "e2e", *words) == 0
     assert json.loads(laps.read_text())["runs"] == 2
 

@@ -104,7 +104,7 @@ evaluate e2e | --policy
 evaluate e2e --policy nosuch | nosuch e2e_residual
 evaluate e2e --policy e2e track=nosuch | overrides: track: 'nosuch' square4
 evaluate e2e --policy e2e track.file=nosuch | overrides: track.file: 'nosuch'
-evaluate e2e --policy e2e --body 19 | --body 19 track.gates[0].size
+evaluate e2e --policy e2e --body 19 | radius of 19 m track.gates[0].size
 evaluate e2e --policy tracks | --policy tracks policy.npz run shipped e2e_residual
 logs standin --policy e2e constants.sede=3 --output new | constants.sede seed
 evaluate e2e --policy e2e --figures bytes.npz | bytes.npz folder
@@ -128,11 +128,11 @@ evaluate e2e --policy e2e --plant standin --gates 5 | plant laps hover
 evaluate e2e --policy e2e --drones 2 | --drones effect --plant
 evaluate e2e --policy e2e --plant standin --drones 3 --runs 4 | runs multiples (3)
 evaluate track=figure8 --policy e2e | track=figure8 preset
-evaluate --flights nosuch.npz | nosuch.npz no such file --flights
-evaluate --flights A= | A=: expected LABEL=FILE
-evaluate --flights =a.npz | LABEL=FILE
-evaluate --flights notes.txt | .npz .csv
-evaluate --flights short.csv | short.csv format
+report nosuch.npz | nosuch.npz no such file
+report A= | A=: expected LABEL=FILE
+report =a.npz | LABEL=FILE
+report notes.txt | .npz .csv
+report short.csv | short.csv format
 compare nosuch | nosuch cyberzoo
 compare effects.gusts=0 | effects.gusts=0 cyberzoo
 compare --drones 2 | drones 2 plant

@@ -128,7 +128,7 @@ def test_a_run_of_another_config_names_the_key(tmp_path):
         check_same(load_config(BLANK, ["seed=3"]), tmp_path)
 
 
-REPLACED = r"already contains a run.*\(resume=True\), replace it \(overwrite=True\)"
+REPLACED = r"already contains a run.*\(--resume\), replace it \(--overwrite\)"
 
 
 def test_a_policy_without_its_checkpoints_is_a_run(tmp_path):

@@ -243,7 +243,7 @@ def check_race_of_policy(c: Context) -> str:
     converted, path = c.exported, c.path / POLICY_FILE
     allowed = c.allow_other_race and converted.options.allow_other_race
     check = functools.partial(check_race, converted.policy, converted.race, path)
-    return _unless(allowed, check, "allow_other_race=True")
+    return _unless(allowed, check, "--allow-other-race")
 
 
 def check_flights(c: Context) -> str:
@@ -252,7 +252,7 @@ def check_flights(c: Context) -> str:
     laps = c.rollouts.laps
     allowed = c.allow_unfinished and converted.options.allow_unfinished
     check = functools.partial(flights.check_finished, laps, converted.race, c.fixed.name)
-    text = _unless(allowed, check, "allow_unfinished=True")
+    text = _unless(allowed, check, "--allow-unfinished")
     if not c.runs:
         return text
     ranges = c.fixed.network.box.declared
