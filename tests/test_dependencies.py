@@ -22,10 +22,8 @@ ALLOWED = {
     "limits": {"core", "vehicle", "race", "config", "policy", "flights"},
     "integrations": {"core", "race", "config"},
     "plant": CONFIG - {"learners"} | {"config", "policy", "flights"},
-    "log_states": {"core", "vehicle", "flights", "fitting"},
-    "predictions": {"core", "vehicle", "flights", "fitting", "log_states"},
     "replay": CONFIG - {"learners"}
-    | {"config", "policy", "flights", "evaluation", "export", "log_states", "predictions"},
+    | {"config", "policy", "flights", "fitting", "evaluation", "export"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant"},
     "sil": CONFIG - {"learners"} | {"config", "policy", "evaluation", "plant", "export", "flights"},
 }

@@ -61,8 +61,8 @@ def replay(
         from quadjax.fitting.flight_log import read_log
         from quadjax.policy.file import Policy
         from quadjax.policy.race import race_of_policy, warn_of_other_race
-        from quadjax.replay import FILES
-        from quadjax.replay import replay as replay_log
+        from quadjax.replay.replay import FILES
+        from quadjax.replay.replay import replay as replay_log
 
     if vehicle is None:
         if policy is None:

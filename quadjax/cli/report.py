@@ -36,7 +36,7 @@ def report(
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.evaluation.report import FILES, Report
-        from quadjax.sources import load_groups
+        from quadjax.evaluation.sources import load_groups
 
     config = load_config(race or "e2e")
     found = Report(

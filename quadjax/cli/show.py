@@ -54,7 +54,7 @@ def show(
         print(listing())
         return
     with loading():
-        from quadjax import catalog
+        from quadjax.cli import catalog
         from quadjax.core.plotting import save_figure
         from quadjax.evaluation.figures import trajectory_figure
 

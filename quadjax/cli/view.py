@@ -62,7 +62,7 @@ def view(
     """
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.sources import load_flights
+        from quadjax.evaluation.sources import load_flights
 
     names = name or []
     if len(names) > len(flights):

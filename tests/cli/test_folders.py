@@ -4,11 +4,10 @@ import shutil
 
 import pytest
 
-from quadjax import sources
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED, find_config, find_policy
-from quadjax.evaluation import evaluate
+from quadjax.evaluation import evaluate, sources
 from quadjax.fitting.config import load_fit_config
 from quadjax.policy.file import Policy
 from tests.commands import run

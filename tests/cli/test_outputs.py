@@ -146,7 +146,7 @@ def test_view_says_what_it_simulates(tmp_path, capsys, monkeypatch):
         raise InputError("enough")
 
     monkeypatch.setattr(output, "SECONDS", 0.1)
-    monkeypatch.setattr("quadjax.sources.evaluate", evaluate)
+    monkeypatch.setattr("quadjax.evaluation.sources.evaluate", evaluate)
     assert run("view", "e2e", "--race", "e2e", "--output", tmp_path / "a.html") == 2
     lines = capsys.readouterr().err.splitlines()
     assert lines == [f"simulating {PRETRAINED / 'e2e.npz'}", "error: enough"]

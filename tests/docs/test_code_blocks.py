@@ -25,7 +25,6 @@ import numpy as np
 import pytest
 import yaml
 
-from quadjax import replay
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.evaluation import report, training
 from quadjax.evaluation.rows import Row
@@ -37,6 +36,7 @@ from quadjax.learners.networks import initial_params
 from quadjax.learners.schedules import Training
 from quadjax.limits import result as limit
 from quadjax.race.laps import Laps
+from quadjax.replay import replay
 from quadjax.sil import run as sil
 from quadjax.sweeps import run as sweeps
 from quadjax.training import inputs

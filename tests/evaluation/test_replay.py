@@ -7,14 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import quadjax
-from quadjax import replay
 from quadjax.core.resources import CONFIGS
 from quadjax.evaluation import report
 from quadjax.fitting.flight_log import write_log
 from quadjax.fitting.formats import PLAIN
 from quadjax.flights import Flight, Signal
 from quadjax.flights.flight import motion_signals
-from quadjax.log_states import disturbances_of
+from quadjax.replay import replay
+from quadjax.replay.log_states import disturbances_of
 from quadjax.vehicle import motor
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams

@@ -13,10 +13,10 @@ from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.report import Report
 from quadjax.evaluation.responses import error_figure, response
+from quadjax.evaluation.sources import load_groups
 from quadjax.evaluation.table import flights_table
 from quadjax.fitting.signals import first_order
 from quadjax.flights import save
-from quadjax.sources import load_groups
 from tests.commands import run
 from tests.flights.support import circle
 

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from quadjax import sources
 from quadjax.core.files import write_json
 from quadjax.core.resources import PRETRAINED
+from quadjax.evaluation import sources
+from quadjax.evaluation.sources import load_flights
 from quadjax.fitting.flight_log import log_flight
 from quadjax.flights.files import lap_times, load, save
-from quadjax.sources import load_flights
 from quadjax.view.data import page_record, title_of
 from tests.commands import run
 from tests.view.scenes import GATES, circle

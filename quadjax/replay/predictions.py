@@ -13,7 +13,7 @@ from quadjax.core.integrators import rk4_step
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.signals import derivative, low_pass
 from quadjax.flights.flight import MOTION, Flight
-from quadjax.log_states import states_of
+from quadjax.replay.log_states import states_of
 from quadjax.vehicle.protocol import Motion, State, VehicleModel, VehicleParams
 from quadjax.vehicle.racing import RacingConstants, command_of
 
@@ -29,7 +29,7 @@ def predict(
     """Errors of predictions over windows of a flight: numbers as JSON takes them, and arrays.
 
     Errors (windows, horizons) by quantity: of the model ("rms_error"), and of a drone that keeps
-    its velocity and body rates ("rms_unchanged"). ``drive`` as of ``quadjax.replay.replay``.
+    its velocity and body rates ("rms_unchanged"). ``drive`` as of ``quadjax.replay.replay.replay``.
 
     Raises:
         InputError: nothing to drive the model with, or a flight shorter than a window.

@@ -27,11 +27,11 @@ from quadjax.export.race_tables import LAST_COMMAND, state_sizes
 from quadjax.export.states import observe
 from quadjax.flights.flight import Flight
 from quadjax.flights.gates import REACH
-from quadjax.log_states import DISTURBANCES, disturbances_of, states_of, vehicle_flight
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import command_ranges
-from quadjax.predictions import Arrays, predict
 from quadjax.race.track import TrackSection
+from quadjax.replay.log_states import DISTURBANCES, disturbances_of, states_of, vehicle_flight
+from quadjax.replay.predictions import Arrays, predict
 from quadjax.vehicle.protocol import VehicleModel, VehicleParams
 
 AT_LIMIT = 1e-3  # of a command's range

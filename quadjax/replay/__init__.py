@@ -1,0 +1,1 @@
+"""A flight log through a policy and a model: laps, commands, and predictions of the motion."""
