@@ -142,8 +142,8 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
     def broken(*arguments):
         chunk, calls = compiled(*arguments), []
 
-        def run(params, state):
-            state, metrics = chunk(params, state)
+        def run(state):
+            state, metrics = chunk(state)
             calls.append(1)
             kept.append(jax.device_get(state.params))
             if len(calls) == 3:
