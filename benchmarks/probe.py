@@ -45,7 +45,7 @@ def sample(policy, config, drones, seconds, seed) -> tuple[np.ndarray, dict, dic
     """Drone (n,), inputs by source (n, k) and quantities by name (drones,) of all samples."""
     environment, params = pilot.fit_race(*make_race(config.replace(schedules={})), policy)
     params = without_training_limits(environment.model, params)
-    pilot_params = pilot.make_pilot(environment, params, policy, deterministic=True)
+    pilot_params = pilot.make_pilot(policy, deterministic=True)
     states = laps.starting_states(
         environment, params, jax.random.key(seed), drones, from_hover=True
     )
@@ -63,7 +63,7 @@ def sample(policy, config, drones, seconds, seed) -> tuple[np.ndarray, dict, dic
         return jax.lax.fori_loop(0, count, body, race)
 
     def record(race, _):
-        seen = jax.vmap(pilot.see, in_axes=(None, 0))(pilot_params, observe(params, race.state))
+        seen = observe(params, race.state)
         return advance(race, round(EVERY * rate)), (seen, ~race.over)
 
     first, count = advance(laps.begin(states, 1), round(WARM_UP * rate)), 10 * seconds - 10

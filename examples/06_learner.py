@@ -3,12 +3,13 @@
 import jax
 import jax.numpy as jnp
 import optax
+from jax.flatten_util import ravel_pytree
 
 import quadjax
 
 
 class Evolution(quadjax.Learner):
-    num_envs: int = 256  # each flies with a copy of the network
+    num_envs: int = 256  # each flies with a perturbed copy of the network
     horizon: int = 60
     noise: float = 0.05
     learning_rate: float = 0.01
@@ -27,7 +28,7 @@ class Evolution(quadjax.Learner):
             return (states, alive & ~ended), jnp.where(alive, reward, 0.0)
 
         key, noise_key, start_key = jax.random.split(state.key, 3)
-        flat, unflatten = jax.flatten_util.ravel_pytree(state.params)
+        flat, unflatten = ravel_pytree(state.params)
         draws = jax.random.normal(noise_key, (self.num_envs, flat.size))
         weights = jax.vmap(unflatten)(flat + self.noise * draws)
         starts = task.environment.reset(task.env_params, jax.random.split(start_key, self.num_envs))

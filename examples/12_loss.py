@@ -1,4 +1,4 @@
-"""PPO with another loss: its value, too, changes by at most a number in an update."""
+"""PPO with another loss: that of the value is clipped, as that of the policy."""
 
 import jax.numpy as jnp
 

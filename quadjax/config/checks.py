@@ -29,7 +29,9 @@ NEEDS = {  # keys that have an effect only with another one, which their fields 
     for item in field.metadata
     if isinstance(item, Needs)
 }
+OF_BATTERY = [f"vehicle.constants.{name}" for name in ("g", "k_w", "rpm_max", "tau")]
 GROUPS = [x for x, f in Randomization.model_fields.items() if f.default == 0.0 and x != "all"]
+GROUP_KEYS = [f"randomization.{group}" for group in GROUPS]
 CURRICULUM = [f"curriculum.{name}" for name in Curriculum.model_fields]
 
 
@@ -105,6 +107,9 @@ def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
             f"{name}: {key} cannot be scheduled, allowed: a key whose value is a number with "
             "decimals, such as reward.gate",
         )
+    if key in GROUP_KEYS and "randomization.all" not in config.schedules:
+        if max(value if x == "value" else x for x in schedule.linear) <= config.randomization.all:
+            refuse(f"{name}.linear", list(schedule.linear), "values above randomization.all")
     if needs := _computed_from(config, key):
         raise BadValue(name, f"{name}: {key} cannot be scheduled: {needs} computed from it")
     for end, time in (("from", schedule.start), ("until", schedule.until)):
@@ -124,8 +129,8 @@ def _computed_from(config: Config, key: str) -> str:
         return "filters and limits are"
     if key == "rules.position_limit" and config.randomization.tracks is not None:
         return "with randomization.tracks, the limit is"
-    if key.startswith("vehicle.constants.") and config.battery is not None:
-        return "the numbers of the battery are"
+    if key.startswith("battery.") or (key in OF_BATTERY and config.battery is not None):
+        return "numbers of the battery are"
     return ""
 
 
@@ -149,7 +154,8 @@ def _check_effects(config: Config) -> None:
             _check_is_default(config, key, f"without {needed}")
     of_disturbance = [f"disturbance.{key}" for key in vars(config.disturbance)]
     others = [f"randomization.{group}" for group in GROUPS if group not in model.groups]
-    drawn = config.randomization.drawn or any("randomization." in key for key in config.schedules)
+    scheduled = [x for x in config.schedules if x.startswith("randomization.")]
+    drawn = config.randomization.drawn or scheduled not in ([], ["randomization.width"])
     by_level = any(schedule.by == "pass_rate" for schedule in config.schedules.values())
     own_start = type(model).start_actuators is not VehicleModel.start_actuators
     for used, reason, keys in (

@@ -187,6 +187,8 @@ def _is_derived(new: object, algorithm: object) -> bool:
     """Whether a learner of the user's own is derived from the one that it replaces."""
     if not (isinstance(new, str) and ":" in new):
         return False
+    if ":" not in str(algorithm) and algorithm not in LEARNERS:
+        return False
     former = LEARNERS.get(str(algorithm)) or load_object(str(algorithm), "learner.algorithm")
     return isinstance(kind := load_object(new, "learner.algorithm"), type) and (
         isinstance(former, type) and issubclass(kind, former)

@@ -22,7 +22,7 @@ from quadjax.race import laps as race
 from quadjax.race.environment import Race, without_training_limits
 from quadjax.race.episode import draw_start, start_gate
 from quadjax.race.laps import Actor
-from quadjax.race.memory import begun
+from quadjax.race.memory import begin_memories
 from quadjax.race.random_track import RandomTracks
 from quadjax.race.track import Track, gate, gate_count
 from quadjax.race.types import RaceParams, RaceState
@@ -174,7 +174,7 @@ def start_before_gate(environment: Race, params: RaceParams, key: jax.Array) -> 
     drone = model.start(constants, motion, draws["actuators"], (low, high))
     zero = jnp.zeros((), jnp.int32)
     fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
-    return begun(environment, params, fresh)
+    return begin_memories(environment, params, fresh)
 
 
 @functools.partial(jax.jit, static_argnums=0)

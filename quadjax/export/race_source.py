@@ -49,7 +49,8 @@ def policy_race(config: Config, policy: Policy, origin: str, name: str = "policy
 
     Args:
         config: of the race.
-        policy: its observation and the limits of its commands replace the config's.
+        policy: its observation and scales replace the config's; commands are clipped to the limits
+            of the vehicle.
         origin: of the config, for messages.
         name: the policy file, for messages.
 

@@ -102,9 +102,10 @@ class TrainResult:
 class Learner(Section):
     """The base class of learning algorithms: fields are hyperparameters, methods the algorithm.
 
-    A learner is a pytree. In ``init`` and ``update``, its fields of ``float`` or ``float | None``
-    are arrays: other numbers do not trigger recompilation, and schedules can change them. All
-    others fix shapes or code, and so does None.
+    A learner is a pytree. In ``init`` and ``update``, its fields of ``float``, and of tuples and
+    mappings of it, are arrays: other numbers do not trigger recompilation, and schedules can change
+    them. All others fix shapes or code, and so does None. ``replace`` validates, which is for
+    numbers: in an update, use ``quadjax.core.traced.with_leaves``.
 
     Both methods are pure functions of whole arrays. On several devices, ``TrainState.environment``
     is split along its last axis, and the compiler divides the work that depends on it.
@@ -133,15 +134,15 @@ class Learner(Section):
     @property
     def steps_per_update(self) -> int:
         """Environment steps of one update, of all environments together."""
-        raise NotImplementedError
+        raise InputError(f"{type(self).__name__} has no steps_per_update, allowed: a property")
 
     def init(self, task: Task, key: jax.Array) -> TrainState:
         """The first state of a run."""
-        raise NotImplementedError
+        raise InputError(f"{type(self).__name__} has no init(task, key), allowed: a method")
 
     def update(self, task: Task, state: TrainState) -> tuple[TrainState, Metrics]:
         """The state after one update of all environments, and scalar metrics."""
-        raise NotImplementedError
+        raise InputError(f"{type(self).__name__} has no update(task, state), allowed: a method")
 
     def plan(self, steps: int, steps_per_chunk: int) -> Plan:
         """How a run of a number of environment steps is divided.

@@ -5,8 +5,8 @@
 3. ``run_epochs`` iterates over shuffled minibatches. ``gradient_step`` takes one gradient step on
    ``loss`` for each. It skips the step if the policy has moved too far.
 
-Each is a method, which a subclass can override. The floats of ``self`` are arrays in them; ints,
-flags and None are static (``quadjax.core.traced``).
+A subclass can override ``collect``, ``gradient_step``, ``loss`` and ``make_optimizer``. The floats
+of ``self`` are arrays in them; ints, flags and None are static (``quadjax.core.traced``).
 """
 
 import dataclasses

@@ -5,7 +5,7 @@
 2. A step of Adam or Muon moves the policy along this gradient, if it is finite.
 3. ``fit_critic`` fits the value to TD(lambda) targets of the same steps.
 
-Each is a method, which a subclass can override. The floats of ``self`` are arrays in them
+A subclass can override each method. The floats of ``self`` are arrays in them
 (``quadjax.core.traced``).
 
 A target critic and the moving average that is evaluated follow the parameters. Muon (Jordan,

@@ -17,7 +17,7 @@ from quadjax.policy.pilot import Pilot, fly
 from quadjax.race import laps
 from quadjax.race.environment import Race, progressed
 from quadjax.race.episode import hover
-from quadjax.race.memory import advanced, begun
+from quadjax.race.memory import advance_memories, begin_memories
 from quadjax.race.rules import evaluate_rules
 from quadjax.race.track import gate, gate_count
 from quadjax.race.types import RaceParams, RaceState, Step
@@ -90,7 +90,7 @@ def begin(plan: Plan, key: jax.Array) -> Drones:
         computers = onboard.begin(plan.onboard, plan.plant, state, rest)
         zero = jnp.zeros((), jnp.int32)
         known = RaceState(_known_motion(plan, computers), zero, zero, zero, None)
-        memories = begun(plan.environment, plan.race, known).memories
+        memories = begin_memories(plan.environment, plan.race, known).memories
         return RaceState(body, zero, zero, zero, None, memories), state, computers
 
     of_noise, of_charge = jax.random.split(key)
@@ -168,7 +168,7 @@ def remember(plan: Plan, before: Drones, drones: Drones, action: jax.Array) -> D
     known, after = (_known_motion(plan, x.onboard) for x in (before, drones))
     began = before.race.state.replace(drone=known)
     g = gate(plan.race.track, began.target)
-    memories = advanced(race, Step(race.model, plan.race, began, g, after, action=action))
+    memories = advance_memories(race, Step(race.model, plan.race, began, g, after, action=action))
     return drones.replace(race=drones.race.replace(state=state.replace(memories=memories)))
 
 

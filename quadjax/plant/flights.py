@@ -80,6 +80,7 @@ def plan_race(
     assert runs % drones == 0, (runs, drones)
     environment, params = fit_race(*make_race(race_config(config, policy)), policy, name)
     params = without_training_limits(environment.model, params)
+    environment = dataclasses.replace(environment, user_terms=())  # there is no reward
     check_drone(plant, config.vehicle)
     model = make_vehicle(config.replace(vehicle=config.vehicle.with_model("motor")))
     first_limit = None if params.battery is None else middle_limit(params.battery)

@@ -7,6 +7,7 @@ starts from a policy converts its layers instead, to have the whole range of the
 """
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -21,10 +22,11 @@ from quadjax.policy.inference import PolicyParams, act_sampled
 from quadjax.policy.network_files import Layers
 from quadjax.race.environment import Race
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
-from quadjax.race.layout import Layout
+from quadjax.race.layout import LAST_ACTION, Layout, ObservedField
 from quadjax.race.observation_config import NONE, Observation
-from quadjax.race.observations import command_range, fields_of
+from quadjax.race.observations import HIGHEST_RPM, command_range, fields_of
 from quadjax.race.types import RaceParams, Scales
+from quadjax.vehicle.battery import LOWEST
 from quadjax.vehicle.protocol import VehicleModel
 
 Ranges = tuple[np.ndarray, np.ndarray]  # lowest and highest
@@ -42,9 +44,10 @@ def fit_race(
 ) -> tuple[Race, RaceParams]:
     """The race with the observation and the scaling that a policy was trained with.
 
-    It has the policy's fields in the policy's order, and the ranges of its file; those of the race
-    where the file has none. The source of the disturbance (ground truth, estimated or none) is that
-    of the race.
+    It has the policy's fields in the policy's order, and the ranges of its file; for what has none
+    there, those of the policy's commands, or of the race. Commands are clipped to the limits of the
+    vehicle, but the last action is observed as the policy gave it, as in the exported C. The source
+    of the disturbance (ground truth, estimated or none) is that of the race.
 
     Args:
         environment: the race.
@@ -70,11 +73,23 @@ def fit_race(
     own = layout.with_spans(environment.model, params)
     spans: list[tuple[float, float]] = []
     for here, there in zip(own.fields, policy.layout.fields, strict=True):
-        spans += there.span or here.span or [(-1.0, 1.0)] * here.size
+        spans += there.span or _span_without(environment.model, here, policy)
     low, high = (jnp.asarray(ends, jnp.float32) for ends in zip(*spans, strict=True))
     least, most = (jnp.asarray(x, jnp.float32) for x in (policy.command_low, policy.command_high))
     scales = Scales(observed=(low, high), commanded=(least, most))
     return dataclasses.replace(environment, layout=layout), params.replace(scales=scales)
+
+
+def _span_without(
+    model: VehicleModel, field: ObservedField, policy: Policy
+) -> Sequence[tuple[float, float]]:
+    """The ranges of a field of the race for a policy whose file has none."""
+    ends = list(zip(policy.command_low.tolist(), policy.command_high.tolist(), strict=True))
+    if field.name in (model.actuators.name, LAST_ACTION):
+        return ends[-field.size :]
+    if field.name == HIGHEST_RPM:
+        return [(LOWEST * ends[0][1], ends[0][1])]
+    return field.span or [(-1.0, 1.0)] * field.size
 
 
 def _arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) -> Layout:

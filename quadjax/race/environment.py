@@ -19,7 +19,7 @@ from quadjax.core.precision import single_precision
 from quadjax.core.traced import with_leaves
 from quadjax.race import episode
 from quadjax.race.layout import LAST_ACTION, Layout
-from quadjax.race.memory import advanced
+from quadjax.race.memory import advance_memories
 from quadjax.race.observations import command_range
 from quadjax.race.rewards import reward
 from quadjax.race.rules import NOT_FINITE, evaluate_rules
@@ -131,7 +131,7 @@ class Race(Environment[RaceParams, RaceState]):
         if params.battery is not None and battery is not None:
             sent = self.command(params, action)
             battery = advance_battery(params.battery, battery, drone.actuators, sent)
-        memories = advanced(self, step)
+        memories = advance_memories(self, step)
         return following.replace(battery=battery, memories=memories), value, outcome
 
 

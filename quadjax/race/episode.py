@@ -12,7 +12,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, between, safe_norm
-from quadjax.race.memory import begun
+from quadjax.race.memory import begin_memories
 from quadjax.race.track import (
     Gate,
     Track,
@@ -262,4 +262,4 @@ def _begin(
     state = RaceState(drone, target, zero, zero, constants, battery=battery)
     if params.delay is not None:
         state = state.replace(delay=between(*params.delay, jnp.zeros(())))
-    return begun(environment, params, state)
+    return begin_memories(environment, params, state)

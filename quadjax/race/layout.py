@@ -59,7 +59,7 @@ class ObservedField:
     source: str = ""
     span: tuple[tuple[float, float], ...] | None = None
     by_rotor: bool = False
-    memory: "Memory | None" = dataclasses.field(default=None, repr=False)
+    memory: "Memory | None" = dataclasses.field(default=None, repr=False, compare=False)
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -120,22 +120,24 @@ def memories_of(race: "Race", params: RaceParams) -> list[Memory]:
     """The memories that a race uses; those of the user's fields, terms and rules come last.
 
     Raises:
-        InputError: two different ones of one name, or no ``Memory``.
+        InputError: two memories with the same name, or an object that is no ``Memory``.
     """
-    functions = [function for _, function in (*race.user_terms, *race.user_rules)]
+    owners: list[tuple[str, Any]] = [(field.name, field) for field in race.layout.fields]
     found: dict[str, Memory] = {memory.name: memory for memory in MEMORIES}
-    for owner in (*race.layout.fields, *functions):
+    for of, owner in (*owners, *race.user_terms, *race.user_rules):
         memory = getattr(owner, "memory", None)
         if memory is None:
             continue
-        if not isinstance(memory, Memory):
-            raise InputError(f"memory is {memory!r:.60}, expected a quadjax.Memory")
+        if not (isinstance(memory, Memory) and isinstance(getattr(memory, "name", None), str)):
+            allowed = "a quadjax.Memory with a name"
+            raise InputError(f"{of}: memory is {memory!r:.60}, allowed: {allowed}")
         if found.setdefault(memory.name, memory) is not memory:
-            raise InputError(f"memory {memory.name!r}: two have the same name")
+            allowed = "one object for all that share it"
+            raise InputError(f"{of}: another memory is named {memory.name!r}, allowed: {allowed}")
     return [memory for memory in found.values() if memory.is_used(race, params)]
 
 
-def begun(race: "Race", params: RaceParams, state: RaceState) -> RaceState:
+def begin_memories(race: "Race", params: RaceParams, state: RaceState) -> RaceState:
     """The state at the start of an episode, with new memories."""
     values = {}
     for memory in memories_of(race, params):
@@ -144,7 +146,7 @@ def begun(race: "Race", params: RaceParams, state: RaceState) -> RaceState:
     return state.replace(memories=values)
 
 
-def advanced(race: "Race", step: Step) -> dict[str, Any]:
+def advance_memories(race: "Race", step: Step) -> dict[str, Any]:
     """The memories after a step, those that the state has."""
     values = dict(step.memories)
     for memory in memories_of(race, step.params):

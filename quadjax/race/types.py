@@ -129,10 +129,12 @@ class Step(struct.PyTreeNode):
         params: the numbers of the race.
         state: the race before the step, or the one that is observed: target, clock, gates passed.
         gate: the target gate.
-        after: the vehicle's state after the step; None for an observation. For a reward term, a
-            state that is not finite is replaced by the one before the step.
-        outcome: events of the step, for a reward term; None for others.
-        action: (action_size,) as the policy gave it, for a reward term; None for others.
+        after: the vehicle's state after the step; None for an observation. For a reward term or a
+            memory, a state that is not finite is replaced by the one before the step.
+        outcome: events of the step, for a reward term or a memory (on a plant None for this); None
+            for others.
+        action: (action_size,) as the policy gave it, for a reward term or a memory; None for
+            others.
     """
 
     model: VehicleModel = struct.field(pytree_node=False)

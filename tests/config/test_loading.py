@@ -260,6 +260,8 @@ start.roll_pitch_deg=120 | at most 89 without vehicle.quaternion
 'track.gates=[{position: [0, 0, -1]}, {position: [0, 0, -1], yaw_deg: 180}]' | another place
 'schedules.reward.gates.linear=[0, 1]' | reward.gates: unknown key; did you mean gate?
 'schedules.rules.time_step={linear: [0.01, 0.02]}' | cannot be scheduled: filters and limits are
+'schedules.randomization.width={linear: [0, 1]}' | randomization.width has no effect where
+randomization.all=0.2 'schedules.randomization.thrust={linear: [0, 0.1]}' | values above randomiza
 'schedules.run.steps.linear=[0, 1]' | schedules.run.steps: run.steps cannot be scheduled
 'schedules.learner.discount={linear: [0.9, 1.0]}' | discount.linear[1]: learner.discount is 1, all
 'schedules.reward.gate={linear: [0, 1], by: pass_rate, until: 5}' | gate.until is 5.0, allowed

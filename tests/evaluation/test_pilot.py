@@ -12,7 +12,7 @@ from quadjax.core.vectors import Rotors, Vec3
 from quadjax.policy import pilot
 from quadjax.policy.inference import mean_action
 from quadjax.race import episode
-from quadjax.race.layout import Layout
+from quadjax.race.layout import LAST_ACTION, Layout
 from quadjax.race.observation_config import Observation
 from quadjax.training.build import initial_policy
 from tests.evaluation.support import random_policy
@@ -50,12 +50,25 @@ def test_the_policy_commands_what_its_file_says():
         drone = state.drone.replace(actuators=Rotors(*jnp.asarray(rpm, jnp.float32)))
         shown = environment.observation(params, state.replace(drone=drone))[12:16]
         np.testing.assert_allclose(shown, 2 * (rpm - 2000) / 10000 - 1, atol=1e-6)
-        own = seen
-        action = pilot.fly(ready, jnp.asarray(own, jnp.float32), noise)
+        action = pilot.fly(ready, jnp.asarray(seen, jnp.float32), noise)
         given = jax.tree.leaves(environment.command(params, action))
-        mean = np.clip(mean_action(policy.on_device(), jnp.asarray(own, jnp.float32)), -1, 1)
+        mean = np.clip(mean_action(policy.on_device(), jnp.asarray(seen, jnp.float32)), -1, 1)
         wanted = np.clip(2000 + 5000 * (np.asarray(mean) + 1), 3000, 11500)
         np.testing.assert_allclose(given, wanted, atol=0.5)
+
+
+def test_a_file_without_ranges_observes_in_that_of_its_commands():
+    """As its exported C does: rotor speeds and the last action, in other limits than the race's."""
+    policy = random_policy(**WIDE, observed=Observation(last_action=True))
+    fields = (dataclasses.replace(field, span=None) for field in policy.layout.fields)
+    policy = dataclasses.replace(policy, layout=Layout(tuple(fields)))
+    environment, params, _ = make(policy, "observation.last_action=true")
+    state = episode.hover_start(environment, params)
+    drone = state.drone.replace(actuators=Rotors.same(jnp.float32(4500.0)))
+    memories = {LAST_ACTION: (jnp.float32(0.25),) * 4}
+    seen = environment.observation(params, state.replace(drone=drone, memories=memories))
+    np.testing.assert_allclose(seen[environment.layout.slice("rpm")], -0.5, atol=1e-6)
+    np.testing.assert_allclose(seen[environment.layout.slice(LAST_ACTION)], 0.25, atol=1e-6)
 
 
 def test_disturbances_are_seen_in_the_policys_scale():

@@ -10,7 +10,12 @@ import pytest
 from quadjax import Field, Memory
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
+from quadjax.plant import flight as onboard_flight
+from quadjax.plant.config import load_plant_config
+from quadjax.plant.flights import plan_race
+from quadjax.race.layout import Layout
 from quadjax.race.memory import DISTURBANCE, clipped_action, memories_of
+from quadjax.training.build import untrained_policy
 from tests.race.support import make_race
 
 OVERRIDES = (
@@ -60,7 +65,7 @@ def test_a_term_and_a_field_share_a_memory():
     np.testing.assert_allclose(state.memories["last_action"], 0.25)
 
 
-def test_a_memory_begins_with_every_episode_and_every_timed_race():
+def test_a_memory_begins_with_every_episode():
     environment, params = make_race(*OVERRIDES, "start.race=0.5")
     starts = jax.vmap(environment.reset, (None, 0))(params, jax.random.split(jax.random.key(0), 9))
     assert not starts.memories["counter"][0].any()
@@ -90,8 +95,9 @@ class Same(Counter):
 WRONG = {
     "memory 'counter': ZeroDivisionError: division by zero": Divides(),
     "memory 'counter': advance gives .*, begin .*, as .shape, type.": Grows(),
-    "memory 'last_action': two have the same name": Same(),
-    "memory is 3, expected a quadjax.Memory": 3,
+    "term: another memory is named 'last_action', allowed: one object": Same(),
+    "term: memory is 3, allowed: a quadjax.Memory with a name": 3,
+    "term: memory is <.*>, allowed: a quadjax.Memory with a name": Memory(),
 }
 
 
@@ -104,9 +110,29 @@ def test_a_wrong_memory_is_one_line(message, monkeypatch):
         environment.step(params, state, jnp.zeros(4))
 
 
-def test_a_memory_is_trained_with(tmp_path):
-    from quadjax.training.build import training_params
-    from quadjax.training.inputs import trace_race
+@dataclasses.dataclass
+class Unhashable(Counter):
+    """A memory that is a plain dataclass."""
 
+    rate: float = 0.5
+
+
+def test_a_race_with_a_memory_can_be_static(monkeypatch):
+    """Also where the memory has no hash."""
+    monkeypatch.setattr(term, "memory", memory := Unhashable())
+    environment, params = make_race(f"reward.terms={{{__name__}:term: 2.0}}")
+    field = dataclasses.replace(COUNTER, memory=memory)
+    layout = Layout((*environment.layout.fields, field))
+    environment = dataclasses.replace(environment, layout=layout)
+    assert hash(environment)
+    assert "counter" in environment.reset(params, jax.random.key(0)).memories
+
+
+@pytest.mark.slow  # compiles the plant
+def test_on_a_plant_a_field_remembers_what_is_estimated_and_terms_are_left_out(monkeypatch):
     config = load_config("e2e", OVERRIDES)
-    trace_race(config, training_params(config))
+    monkeypatch.setattr(term, "memory", Divides())
+    plan = plan_race(config, load_plant_config("exact"), untrained_policy(config), runs=1)
+    drones = onboard_flight.begin(plan, jax.random.key(0))
+    drones, _ = onboard_flight.advance(plan, 3, drones, jax.random.key(1))
+    assert int(drones.race.state.memories["counter"][0][0]) == 3
