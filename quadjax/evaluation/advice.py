@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 
+from quadjax.config.loading import names_of_code
 from quadjax.config.schema import Config
 from quadjax.core.errors import quadjax_command
 from quadjax.flights.flight import Flight
@@ -45,7 +46,9 @@ def wide_margin(config: Config) -> str:
 
 def look(run: Run) -> str:
     """What to run next where no lap is to be judged."""
-    return f"next: {quadjax_command('view', run.folder)} shows its flight"
+    # Code that a policy file names is imported only from a config that the user names.
+    race = ("--race", run.folder / "config.yaml") if names_of_code(run.config) else ()
+    return f"next: {quadjax_command('view', run.folder, *race)} shows its flight"
 
 
 def next_step(run: Run, flights: Sequence[Flight]) -> list[str]:

@@ -219,10 +219,15 @@ class Learner(Section):
 
     def _checked(self, schedules: Schedules) -> dict[str, Schedule]:
         """Schedules by key, whose values of hyperparameters are allowed."""
-        made = {
-            key: x if isinstance(x, Schedule) else validate(Schedule, {"linear": [*x]}, key)
-            for key, x in schedules.items()
-        }
+        made: dict[str, Schedule] = {}
+        for key, values in schedules.items():
+            if isinstance(values, Schedule):
+                made[key] = values
+            elif isinstance(values, list | tuple):
+                made[key] = validate(Schedule, {"linear": values}, key)
+            else:
+                allowed = "a list of values or a quadjax.Schedule"
+                raise InputError(f"schedules: {key} is {values!r:.60}, allowed: {allowed}")
         for key, schedule in made.items():
             name = key.removeprefix("learner.")
             if name in type(self).model_fields:

@@ -94,6 +94,7 @@ WRONG = (
         "learning_rat cannot be.*mean learning_rate",
     ),
     ({"schedules": {"num_epochs": [2, 3]}}, "num_epochs cannot be scheduled"),
+    ({"schedules": {"learning_rate": 3e-3}}, "learning_rate is 0.003, allowed: a list of values"),
     ({"network": Constants}, "network is <class .*Constants.>, expected a Network or an ActorC"),
     ({"network": Constants(3)}, "network.action_size is 3, the environment takes 1"),
 )

@@ -5,11 +5,11 @@ import importlib
 
 import pytest
 
-from quadjax import sources
 from quadjax.config import assembly
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED, policy_names
+from quadjax.evaluation import sources
 from quadjax.evaluation.conditions import Condition
 from quadjax.export import convert, race_source
 from quadjax.limits import guess
