@@ -66,7 +66,7 @@ def test_all_checks_of_an_exported_folder(flown):
         if result.verdict == SKIPPED and result.check in ALLOWANCES:
             option, reason = ALLOWANCES[result.check]  # of real flights, among others
             assert reason in result.figure
-            assert result.figure.endswith(f"allowed by {option}=True")
+            assert result.figure.endswith(f"allowed by --{option.replace('_', '-')}")
         else:
             assert result.verdict == PASSED, result.figure
     figures = {result.check: result.figure for result in results}

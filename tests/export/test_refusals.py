@@ -59,7 +59,7 @@ POLICIES = [  # words of the message, changes of the policy, its race or its exp
         "0.01 s, allowed: whole periods of 256",
         {"name": EVERYTHING, "options": ALLOWED | {"sample_rate": 256.0}},
     ),
-    ("0 of 32 flights finish 6 laps of track square4 .*allow_unfinished", {"options": {}}),
+    ("0 of 32 flights finish 6 laps of track square4 .*allow-unfinished", {"options": {}}),
 ] + [
     (f"trained in another race than config: {text}; all", {"config": [override]})
     for text, override in (
