@@ -61,7 +61,7 @@ POLICIES = [  # words of the message, changes of the policy, its race or its exp
     ),
     ("0 of 32 flights finish 6 laps of track square4 .*allow-unfinished", {"options": {}}),
 ] + [
-    (f"trained in another race than config: {text}; all", {"config": [override]})
+    (f"trained in another race than config: {text}; --all", {"config": [override]})
     for text, override in (
         (r"track.gates\[0\].position is \[2.* in training, \[3.* here", OTHER_GATES),
         ("track is square4 in training, figure8 here", "track=figure8"),
