@@ -46,11 +46,11 @@ class Memory:
 
     def begin(self, model: VehicleModel, params: RaceParams, state: RaceState) -> Any:
         """The value at the start of an episode: a pytree of arrays."""
-        raise NotImplementedError
+        raise InputError(f"memory {self.name!r} has no begin(model, params, state)")
 
     def advance(self, value: Any, step: Step) -> Any:
         """The value after a step, of the same shapes; ``step.outcome`` is None on a plant."""
-        raise NotImplementedError
+        raise InputError(f"memory {self.name!r} has no advance(value, step)")
 
 
 class LastAction(Memory):

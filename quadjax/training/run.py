@@ -32,7 +32,6 @@ from quadjax.training.build import (
     make_training,
     start_state,
     trained_policy,
-    training_params,
 )
 from quadjax.training.checkpoint import Checkpoints, RunState
 from quadjax.training.folder import FILES, KIND, prepare_folder
@@ -119,10 +118,9 @@ class _Job:
 
 def _prepare(config: Config) -> _Job:
     """Prepare a run; bad input is rejected here, before anything is written."""
-    params = training_params(config)
-    check_residual(config, params)
-    check_functions(config, params)
     training, plan = make_training(config)
+    check_residual(config, training.task.env_params)
+    check_functions(config, training.task.env_params)
     shapes = check_learner(config, training)
     mesh = parallel.choose_mesh(config.run.devices, shapes)
     if config.run.tensorboard:

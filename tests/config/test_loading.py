@@ -260,6 +260,8 @@ start.roll_pitch_deg=120 | at most 89 without vehicle.quaternion
 'track.gates=[{position: [0, 0, -1]}, {position: [0, 0, -1], yaw_deg: 180}]' | another place
 'schedules.reward.gates.linear=[0, 1]' | reward.gates: unknown key; did you mean gate?
 'schedules.rules.time_step={linear: [0.01, 0.02]}' | cannot be scheduled: filters and limits are
+battery.charge=[0.5,1] 'schedules.vehicle.constants.tau={linear: [0.07, value]}' | numbers of the b
+battery.charge=[0.5,1] 'schedules.battery.resistance={linear: [0.1, value]}' | numbers of the b
 'schedules.randomization.width={linear: [0, 1]}' | randomization.width has no effect where
 randomization.all=0.2 'schedules.randomization.thrust={linear: [0, 0.1]}' | values above randomiza
 'schedules.run.steps.linear=[0, 1]' | schedules.run.steps: run.steps cannot be scheduled

@@ -88,6 +88,10 @@ class Grows(Counter):
         return jnp.zeros(3)
 
 
+class Named(Memory):
+    name = "counter"
+
+
 class Same(Counter):
     name = "last_action"
 
@@ -95,6 +99,7 @@ class Same(Counter):
 WRONG = {
     "memory 'counter': ZeroDivisionError: division by zero": Divides(),
     "memory 'counter': advance gives .*, begin .*, as .shape, type.": Grows(),
+    "memory 'counter' has no begin": Named(),
     "term: another memory is named 'last_action', allowed: one object": Same(),
     "term: memory is 3, allowed: a quadjax.Memory with a name": 3,
     "term: memory is <.*>, allowed: a quadjax.Memory with a name": Memory(),

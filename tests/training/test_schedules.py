@@ -90,3 +90,11 @@ def test_constants_and_randomization_can_be_scheduled():
     assert make_environment(config).randomize
     ((_, params),) = at(config, 5)
     assert float(params.randomization.drag) == pytest.approx(0.1)
+
+
+def test_a_constant_that_the_battery_does_not_depend_on_can_be_scheduled():
+    config = tiny(
+        "e2e", "battery.charge=[0.5, 1]", "schedules.vehicle.constants.k_x.linear=[0, value]"
+    )
+    ((_, params),) = at(config, 0)
+    assert float(params.vehicle.constants.k_x) == 0.0

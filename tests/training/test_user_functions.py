@@ -1,6 +1,7 @@
 """Mistakes in a user's own functions and files: one line, and no folder of a run."""
 
 import sys
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +12,7 @@ import quadjax
 from quadjax import Field, Learner, TrainState
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
+from quadjax.evaluation.advice import look
 from quadjax.training.run import train
 from quadjax.vehicle.residual import read_residual, write_residual
 from tests.commands import run
@@ -129,3 +131,11 @@ def test_a_stage_of_a_learner_keeps_the_hyperparameters_of_the_preset():
     )
     other = load_config("e2e_ppo", [f"learner.algorithm={name}"])
     assert other.learner == Stage(algorithm=name)
+
+
+def test_the_next_command_of_a_run_names_the_config_with_the_users_code(tmp_path):
+    config = load_config("e2e", [f"reward.terms={{{__name__}:vector: 1.0}}"])
+    run_of = SimpleNamespace(folder=tmp_path, config=config)
+    assert look(run_of).split(" --race ")[1].startswith(f"{tmp_path / 'config.yaml'} shows")
+    run_of.config = load_config("e2e")
+    assert "--race" not in look(run_of)
