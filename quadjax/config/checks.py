@@ -10,13 +10,15 @@ from collections.abc import Sequence
 
 from quadjax.config.drone import check_drone
 from quadjax.config.schema import Config, Schedule
-from quadjax.core.errors import InputError, prefixed, short
+from quadjax.core.errors import InputError, close_match, prefixed, short
 from quadjax.core.section_keys import fields_at, value_at
 from quadjax.core.sections import BadValue, Needs, refuse
+from quadjax.core.yaml_files import flatten
 from quadjax.learners.schedules import Curriculum
 from quadjax.race.draws import Randomization
 from quadjax.race.random_track import FARTHEST
 from quadjax.race.track import check_lap
+from quadjax.race.types import describe_dependents
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import base_model
 
@@ -29,7 +31,6 @@ NEEDS = {  # keys that have an effect only with another one, which their fields 
     for item in field.metadata
     if isinstance(item, Needs)
 }
-OF_BATTERY = [f"vehicle.constants.{name}" for name in ("g", "k_w", "rpm_max", "tau")]
 GROUPS = [x for x, f in Randomization.model_fields.items() if f.default == 0.0 and x != "all"]
 GROUP_KEYS = [f"randomization.{group}" for group in GROUPS]
 CURRICULUM = [f"curriculum.{name}" for name in Curriculum.model_fields]
@@ -85,13 +86,31 @@ def with_scheduled_values(config: Config, index: int = -1) -> Config:
     return config
 
 
+def _similar_keys(config: Config, key: str) -> str:
+    """``"; did you mean X?"`` for up to three numbers of the config like a key, or nothing.
+
+    They are of the key's section, or else those of its name in any section, or else of any key.
+    """
+    tree = flatten(config.model_dump(exclude={"schedules"}))
+    keys = [name for name, value in tree.items() if isinstance(value, float)]
+    section, _, name = key.rpartition(".")
+    if siblings := [x.rpartition(".")[2] for x in keys if x.rpartition(".")[0] == section]:
+        return close_match(name, siblings, 3)
+    if namesakes := [x for x in keys if x.endswith(f".{key}")]:
+        return close_match(namesakes[0], namesakes, 3)
+    return close_match(key, keys, 3)
+
+
 def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
     """Check that a schedule is of a number, with allowed values, and within the run."""
     name, steps = f"schedules.{key}", config.run.steps
-    learner = f" with learner.algorithm={config.learner.algorithm}"
-    where = f"schedules{learner if key.startswith('learner.') else ''}"
     try:
         value = value_at(config, key)
+    except InputError:
+        learner = f" with learner.algorithm={config.learner.algorithm}"
+        where = learner if key.startswith("learner.") else ""
+        raise BadValue(name, f"{name}: no such number{where}{_similar_keys(config, key)}") from None
+    try:
         for index, number in enumerate(schedule.linear if isinstance(value, float) else ()):
             where = f"{name}.linear[{index}]"
             if number != "value":
@@ -99,7 +118,7 @@ def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
     except InputError as error:
         raise BadValue(name, f"{where}: {error}") from None
     if value is None:
-        allowed = "a key that the config sets to a number"
+        allowed = f"a key that the config sets to a number{_similar_keys(config, key)}"
         raise BadValue(name, f"{name}: {key} is null, allowed: {allowed}")
     if not isinstance(value, float):
         raise BadValue(
@@ -110,7 +129,8 @@ def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
     if key in GROUP_KEYS and "randomization.all" not in config.schedules:
         if max(value if x == "value" else x for x in schedule.linear) <= config.randomization.all:
             refuse(f"{name}.linear", list(schedule.linear), "values above randomization.all")
-    if needs := _computed_from(config, key):
+    random_tracks, battery = config.randomization.tracks is not None, config.battery is not None
+    if needs := describe_dependents(key, random_tracks=random_tracks, battery=battery):
         raise BadValue(name, f"{name}: {key} cannot be scheduled: {needs} computed from it")
     for end, time in (("from", schedule.start), ("until", schedule.until)):
         if time > 1 and schedule.by == "pass_rate":
@@ -121,17 +141,6 @@ def _check_schedule(config: Config, key: str, schedule: Schedule) -> None:
     begin, *_, last = schedule.knots(steps, steps)
     if begin > last:
         refuse(f"{name}.from", schedule.start, f"before until {schedule.until:g}")
-
-
-def _computed_from(config: Config, key: str) -> str:
-    """What is computed from a number before training, and would not follow it; "": nothing."""
-    if key == "rules.time_step":
-        return "filters and limits are"
-    if key == "rules.position_limit" and config.randomization.tracks is not None:
-        return "with randomization.tracks, the limit is"
-    if key.startswith("battery.") or (key in OF_BATTERY and config.battery is not None):
-        return "numbers of the battery are"
-    return ""
 
 
 def _check_observation(config: Config) -> None:

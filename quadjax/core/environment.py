@@ -55,6 +55,13 @@ class Environment(Generic[Params, State]):
         """Parts () of the task that a step completed, such as gates passed; None: not reported."""
         return None
 
+    def describe_dependents(self, params: Params, key: str) -> str:
+        """What was computed from a number of ``params``, with its verb; "": nothing.
+
+        It would not follow a schedule of the number, which is refused.
+        """
+        return ""
+
 
 @dataclasses.dataclass(frozen=True)
 class Vectorized(Environment[Params, State]):
@@ -112,6 +119,10 @@ class Vectorized(Environment[Params, State]):
     def completed(self, before: State, after: State) -> jax.Array | None:
         """Parts (n,) of the task that a step completed."""
         return jax.vmap(self.one.completed, in_axes=-1)(before, after)
+
+    def describe_dependents(self, params: Params, key: str) -> str:
+        """What was computed from a number of ``params``, which are those of one agent."""
+        return self.one.describe_dependents(params, key)
 
 
 def where_done(done: jax.Array, fresh: State, state: State) -> State:

@@ -72,15 +72,15 @@ def short(value: object, limit: int = 60, text: Callable[[object], str] = repr) 
     return whole if len(whole) <= limit else f"{whole[: limit - 3]}..."
 
 
-def close_match(name: str, allowed: Sequence[str]) -> str:
-    """``"; did you mean X?"`` for the allowed name closest to ``name``, or nothing.
+def close_match(name: str, allowed: Sequence[str], count: int = 1) -> str:
+    """``"; did you mean X?"`` for the allowed names closest to ``name``, or nothing.
 
-    Initials are close, too: ``lr`` to ``learning_rate``.
+    At most ``count`` are named. Initials are close, too: ``lr`` to ``learning_rate``.
     """
-    near = difflib.get_close_matches(name, allowed, n=1)
+    near = difflib.get_close_matches(name, allowed, n=count)
     if not near and len(name) > 1:
         near = [x for x in allowed if "".join(word[:1] for word in x.split("_")) == name]
-    return f"; did you mean {near[0]}?" if near else ""
+    return f"; did you mean {' or '.join(near[:count])}?" if near else ""
 
 
 def quadjax_command(*words: object) -> str:

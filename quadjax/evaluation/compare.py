@@ -121,7 +121,7 @@ def _check_races(trainings: Sequence[Training]) -> None:
         for key, there, here in differences(first.race, other.race, ("track", "rules")):
             raise InputError(
                 f"{key} is {there} in the race of {first.file}, {here} in that of {other.file}; "
-                "allowed: policies of one race, or a race for both (--race CONFIG)"
+                "allowed: policies of one race, or a race for both (race=CONFIG, --race CONFIG)"
             )
 
 

@@ -131,6 +131,11 @@ def _format_of(path: Path) -> LogsConfig:
     """The format whose columns a log has; plain columns for a log of several formats."""
     if path.suffix != ".csv":
         return LogsConfig(format="ulog")
+    if files.is_table(path):
+        raise InputError(
+            f"{path}: a table of flights has no gates, allowed: the file of evaluate --states "
+            "FILE.npz, or a flight log"
+        )
     for name, form in LOG_FORMATS.items():
         columns = form.columns["time"] + form.columns["gyro"]
         if form.read is None and set(columns) <= set(read_head(path, form.settings)[0]):

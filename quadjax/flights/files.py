@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, reading
 from quadjax.core.files import read_json, read_npz, whole_file, write_npz
 from quadjax.core.sections import validate
 from quadjax.flights.flight import Flight, Signal, numbered
@@ -39,6 +39,7 @@ from quadjax.race.track import GateSection
 
 FORMAT = "quadjax-flights/2"
 WITH_ONE_NAME = ("time", "passages", "lap_ends")
+TABLE_COLUMNS = ("run", "time [s]")  # the first ones of a ``.csv`` file
 
 
 def save(
@@ -98,7 +99,7 @@ def _stacked(parts: Sequence[np.ndarray]) -> np.ndarray:
 
 def _save_table(flights: Sequence[Flight], path: Path | str) -> None:
     """A line for each time of each flight; the header has the units."""
-    columns = ["run", "time [s]"]
+    columns = list(TABLE_COLUMNS)
     for name, signal in flights[0].signals.items():
         count = signal.values.shape[1]
         units = (signal.unit,) * count if isinstance(signal.unit, str) else signal.unit
@@ -117,6 +118,12 @@ def _save_table(flights: Sequence[Flight], path: Path | str) -> None:
     header = ",".join(columns)
     with whole_file(path) as temporary:
         np.savetxt(temporary, np.concatenate(rows), "%.9g", ",", header=header, comments="")
+
+
+def is_table(path: Path | str) -> bool:
+    """Whether a file is a ``.csv`` table of ``save``, which ``load`` does not read."""
+    with reading(path), open(path, "rb") as file:
+        return file.readline(100).startswith(",".join(TABLE_COLUMNS).encode())
 
 
 def load(path: Path | str, name: str = "") -> list[Flight]:

@@ -151,10 +151,12 @@ class Training(struct.PyTreeNode):
 
         Raises:
             InputError: a schedule of a key that sets no leaf, of a number that is whole or
-                infinite, or of one that another schedule changes.
+                infinite, from which others are computed, or of one that another schedule changes.
         """
         leaves, keys, built = _leaves(self)[0], dict[str, str](), []
         for key, schedule in schedules.items():
+            if needs := self.task.environment.describe_dependents(self.task.env_params, key):
+                raise InputError(f"schedules: {key} cannot be scheduled: {needs} computed from it")
             for path in paths(key):
                 if (other := keys.setdefault(path, key)) != key:
                     raise InputError(f"schedules: {other} and {key} change the same number")
@@ -184,7 +186,7 @@ def _make_knots(
         names = [name.removeprefix("params.").removeprefix("learner.") for name in leaves]
         raise InputError(
             f"schedules: {key} cannot be scheduled, allowed: a finite floating-point number of the "
-            f"learner or of the environment's params{close_match(key, names)}"
+            f"learner or of the environment's params{close_match(key, names, 3)}"
         )
     values = [own if x == "value" else np.full_like(own, x) for x in schedule.linear]
     if np.array_equal(values, [own] * len(values)):

@@ -222,7 +222,12 @@ class PlantConfig(Section):
     population: dict[str, Numbers] = Field(
         {}, max_length=100, description="drones: of each dotted key its value for every drone"
     )
-    drone: int = Field(0, ge=0, le=MAX_SEED, description="number of the first drone that flies")
+    drone: int = Field(
+        0,
+        ge=0,
+        le=MAX_SEED,
+        description="number of the first drone that flies, from 0; with a population, one of it",
+    )
 
     @model_validator(mode="after")
     def _rates_agree(self) -> Self:
@@ -259,6 +264,9 @@ class PlantConfig(Section):
 
     @model_validator(mode="after")
     def _population(self) -> Self:
+        if self.population and self.drone >= self.size:
+            allowed = f"0 to {self.size - 1}, the drones of its population"
+            raise ValueError(f"drone is {self.drone}, allowed: {allowed}")
         first = next(iter(self.population), "")
         for key, values in self.population.items():
             if len(values) != self.size:

@@ -30,6 +30,7 @@ from quadjax.race.types import (
     RaceState,
     Step,
     UserFunctions,
+    describe_dependents,
 )
 from quadjax.vehicle.battery import advance_battery, limit_command
 from quadjax.vehicle.constants import values_of
@@ -87,6 +88,11 @@ class Race(Environment[RaceParams, RaceState]):
         if not self.report_passes:
             return None
         return (after.gates_passed - before.gates_passed).astype(jnp.float32)
+
+    def describe_dependents(self, params: RaceParams, key: str) -> str:
+        """What was computed from a number of the race; see ``quadjax.race.types``."""
+        has_tracks, battery = params.tracks is not None, params.battery is not None
+        return describe_dependents(key, random_tracks=has_tracks, battery=battery)
 
     def observation(self, params: RaceParams, state: RaceState) -> jax.Array:
         """``observe`` in any precision; see ``quadjax.race.observations``."""

@@ -23,6 +23,8 @@ if TYPE_CHECKING:  # what is declared next to the functions of a step
 
 # A user's functions of a step, with their names.
 UserFunctions = tuple[tuple[str, Callable[["Step"], jax.Array]], ...]
+# Numbers of the race from which those of a battery are computed.
+BATTERY_CONSTANTS = tuple(f"vehicle.constants.{name}" for name in ("g", "k_w", "rpm_max", "tau"))
 
 
 class RaceParams(struct.PyTreeNode):
@@ -61,6 +63,17 @@ class RaceParams(struct.PyTreeNode):
         if state.constants is None:
             return self.vehicle
         return dataclasses.replace(self.vehicle, constants=state.constants)
+
+
+def describe_dependents(key: str, *, random_tracks: bool, battery: bool) -> str:
+    """What is computed from a number of the race before training, with its verb; "": nothing."""
+    if key == "rules.time_step":
+        return "filters and limits are"
+    if key == "rules.position_limit" and random_tracks:
+        return "with randomization.tracks, the limit is"
+    if battery and (key.startswith("battery.") or key in BATTERY_CONSTANTS):
+        return "numbers of the battery are"
+    return ""
 
 
 class Scales(struct.PyTreeNode):

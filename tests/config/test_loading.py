@@ -258,7 +258,14 @@ vehicle.constants.k_x=-1e-4 | vehicle.constants.k_x is -0.0001, allowed: at leas
 'vehicle.mismatch={tau: 0.01}' | vehicle.constants.tau times its mismatch is 0.0006, allowed
 start.roll_pitch_deg=120 | at most 89 without vehicle.quaternion
 'track.gates=[{position: [0, 0, -1]}, {position: [0, 0, -1], yaw_deg: 180}]' | another place
-'schedules.reward.gates.linear=[0, 1]' | reward.gates: unknown key; did you mean gate?
+'schedules.reward.gates.linear=[0, 1]' | overrides: schedules.reward.gates: no such number; \
+did you mean gate or gate_offset?
+'schedules.std.linear=[0, 1]' | schedules.std: no such number
+learner.algorithm=shac 'schedules.std.linear=[0, 1]' | schedules.std: no such number; did you mean \
+learner.std?
+'schedules.learner.horizons.linear=[0, 1]' | no such number with learner.algorithm=ppo
+'schedules.vehicle.constants.taus.linear=[0, 1]' | sets to a number; did you mean tau?
+'schedules.reward.linear=[0, 1]' | schedules.reward: no such number; did you mean reward.
 'schedules.rules.time_step={linear: [0.01, 0.02]}' | cannot be scheduled: filters and limits are
 battery.charge=[0.5,1] 'schedules.vehicle.constants.tau={linear: [0.07, value]}' | numbers of the b
 battery.charge=[0.5,1] 'schedules.battery.resistance={linear: [0.1, value]}' | numbers of the b
@@ -384,5 +391,5 @@ def test_one_opening_for_all_gates():
 
 
 def test_a_part_for_another_learner_names_the_algorithm():
-    expected = "schedules with learner.algorithm=ppo: learner.std: unknown key"
+    expected = "schedules.learner.std: no such number with learner.algorithm=ppo"
     assert expected in refusal("e2e_ppo", "+gate_edge")

@@ -126,7 +126,10 @@ def test_contenders_fly_their_own_races_which_must_be_alike(tmp_path, capsys, fl
     untrained_policy(load_config("indi", ["track=figure8"])).save(file)
     assert run("compare", "standin", "--indi", "indi", file, "--output", tmp_path) == 2
     error = capsys.readouterr().err
-    assert "track is square4 in the race of" in error and "(--race CONFIG)" in error
+    assert (
+        "track is square4 in the race of" in error
+        and "(race=CONFIG, --race CONFIG)" in " ".join(error.split())
+    )
     change = "vehicle.constants.thrust_max=18"
     assert run("compare", "standin", change, "--output", tmp_path) == 2
     assert "(overrides change the plant, not the race)" in capsys.readouterr().err

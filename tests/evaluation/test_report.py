@@ -16,7 +16,7 @@ from quadjax.evaluation.responses import error_figure, response
 from quadjax.evaluation.sources import load_groups
 from quadjax.evaluation.table import flights_table
 from quadjax.fitting.signals import first_order
-from quadjax.flights import save
+from quadjax.flights import load, save
 from tests.commands import run
 from tests.flights.support import circle
 
@@ -65,6 +65,16 @@ def test_a_file_is_not_taken_for_a_pattern(tmp_path):
         states_file(tmp_path / name, [seconds])
     (flights,) = load_groups([f"{tmp_path}/[a].npz"], RACE.track).values()
     assert [flight.total for flight in flights] == [8.0]
+
+
+def test_a_table_of_flights_is_not_taken_for_a_log(tmp_path):
+    states_file(tmp_path / "a.npz", [3.0])
+    save(load(tmp_path / "a.npz"), tmp_path / "a.csv")
+    expected = (
+        "a.csv: a table of flights has no gates, allowed: the file of evaluate --states FILE.npz"
+    )
+    with pytest.raises(InputError, match=expected):
+        load_groups([str(tmp_path / "a.csv")], RACE.track)
 
 
 def test_a_report_has_the_gates_that_were_flown(groups):

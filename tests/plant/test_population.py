@@ -52,6 +52,7 @@ def test_a_drone_has_its_values(own):
         ("inner_loop: [1, 2]", "population.inner_loop, drone 0: inner_loop is 1, allowed: 'indi'"),
         ("wind.speed: [1, 2]", "wind"),
         ("name.x: [1, 2]", "name"),
+        ("effects.flex: [1, 1]\ndrone: 2", "bad.yaml: drone is 2, allowed: 0 to 1, the drones of"),
     ],
 )
 def test_what_is_no_population_is_refused(tmp_path, change, message):

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.config.assembly import make_environment
+from quadjax.config.assembly import make_environment, make_race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.learners.schedules import Training
@@ -98,3 +98,26 @@ def test_a_constant_that_the_battery_does_not_depend_on_can_be_scheduled():
     )
     ((_, params),) = at(config, 0)
     assert float(params.vehicle.constants.k_x) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("words", "key"),
+    [
+        ((), "rules.time_step"),
+        (("randomization.tracks={gates: 4, count: 2}",), "rules.position_limit"),
+        (("battery.charge=[0.5, 1]",), "vehicle.constants.tau"),
+        (("battery.charge=[0.5, 1]",), "battery.charge.0"),
+    ],
+)
+def test_a_number_from_which_others_are_computed_cannot_be_scheduled_in_python(words, key):
+    config = tiny("e2e", *words)
+    with pytest.raises(InputError, match=f"{key} cannot be scheduled: .* computed from it"):
+        config.learner.train(*make_race(config), steps=64, schedules={key: [0.01, 0.02]})
+
+
+def test_up_to_three_names_are_close_to_one_that_no_number_has():
+    config = tiny("e2e")
+    with pytest.raises(
+        InputError, match="mean reward.gate or reward.gate_offset or reward.gate_edge"
+    ):
+        config.learner.train(*make_race(config), steps=64, schedules={"reward.gates": [0, 1]})
