@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant.indi import PITCH, ROLL, YAW, total
-from quadjax.plant.indi_simple import MIX, UNITS, mixed
+from quadjax.plant.indi_simple import COMMAND_UNITS, MIX, mixed
 from quadjax.vehicle import motor, rate
 from quadjax.vehicle.constants import constant
 from quadjax.vehicle.motor import Motor, MotorConstants
@@ -94,13 +94,15 @@ def with_rotors(c: Constants, state: RigidBodyState) -> LoopState:
 
 def rpm_commands(c: Constants, state: LoopState, wanted: Vec3, lift: jax.Array) -> Rotors:
     """Commands to the motors of missing angular acceleration, rad/s^2, and thrust, units."""
-    unit = (c.rpm_max - c.rpm_min) / UNITS
+    unit = (c.rpm_max - c.rpm_min) / COMMAND_UNITS
     now = (state.rotors + -c.rpm_min) * (1.0 / unit)
     each = zip((ROLL, PITCH, YAW), MIX, strict=True)
     turn = [total(signs, now) * (0.25 / factor) for signs, factor in each]
     change = wanted.x / EFFECT[0], wanted.y / EFFECT[1], state.yaw_change
-    turn = [jnp.clip(u + du, -UNITS, UNITS) for u, du in zip(turn, change, strict=True)]
-    thrust = jnp.clip(0.25 * total((1.0,) * 4, now) + lift, 0.0, UNITS)
+    turn = [
+        jnp.clip(u + du, -COMMAND_UNITS, COMMAND_UNITS) for u, du in zip(turn, change, strict=True)
+    ]
+    thrust = jnp.clip(0.25 * total((1.0,) * 4, now) + lift, 0.0, COMMAND_UNITS)
     return mixed(c, Rotors(*turn, thrust))
 
 

@@ -70,7 +70,7 @@ def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, capsy
         lambda event, *_, **__: event.endswith("backend_compile_duration") and compiled.append(1)
     )
     count = lambda row: after_chunk.append(len(compiled))  # noqa: E731
-    monkeypatch.setattr("quadjax.training.progress.LOG_SECONDS", 0.0)
+    monkeypatch.setattr("quadjax.training.progress.LOG_EVERY_S", 0.0)
     whole = training.train(config, tmp_path / "whole", enough=count)
     assert f"{config.name}: compiling, " in capsys.readouterr().err
     assert whole.finished
@@ -108,7 +108,7 @@ def test_the_critic_of_a_file_is_scaled_to_the_unit_of_the_reward(tmp_path):
 @pytest.mark.slow
 def test_interrupted_while_compiling_it_saves_all_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr(training, "interruptions", interrupted)
-    monkeypatch.setattr(training, "PATIENCE", 600.0)
+    monkeypatch.setattr(training, "PATIENCE_S", 600.0)
     result = training.train(config_of("e2e_ppo"), tmp_path / "run")
     assert not result.finished and result.summary["steps"] == 0
     assert Policy.load(tmp_path / "run/policy_last.npz").layers
@@ -127,7 +127,7 @@ def test_a_run_that_needs_more_memory_than_there_is_is_refused_with_the_estimate
 def test_interrupted_in_a_long_compilation_it_ends_at_once(tmp_path, monkeypatch):
     finish = threading.Event()
     monkeypatch.setattr(training, "interruptions", interrupted)
-    monkeypatch.setattr(training, "PATIENCE", 0.0)
+    monkeypatch.setattr(training, "PATIENCE_S", 0.0)
     monkeypatch.setattr(training.parallel, "compile_chunk", lambda *_: finish.wait(600))
     with pytest.raises(KeyboardInterrupt):
         training.train(config_of("e2e_ppo"), tmp_path / "run")
@@ -158,7 +158,7 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
         training.train(config, tmp_path / "run")
     monkeypatch.undo()
     monkeypatch.setattr(training, "interruptions", interrupted)
-    monkeypatch.setattr(training, "PATIENCE", 600.0)
+    monkeypatch.setattr(training, "PATIENCE_S", 600.0)
     training.train(config, tmp_path / "run", resume=True)
     saved = Policy.load(tmp_path / "run/policy_last.npz")
     for (kernel, bias), found in zip(to_layers(kept[1]["actor"]), saved.layers, strict=True):

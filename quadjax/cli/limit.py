@@ -13,7 +13,7 @@ from quadjax.core.interruptions import interruptions, loading
 
 if TYPE_CHECKING:
     from quadjax.config.schema import Config
-    from quadjax.limits.problem import Flight
+    from quadjax.limits.problem import FlightOptions
     from quadjax.limits.result import Result
 
 STOPPING = b"\nstopping: the best flight so far is kept; Ctrl-C again ends without it\n"
@@ -63,14 +63,14 @@ def limit(
     """
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.limits.problem import Flight
+        from quadjax.limits.problem import FlightOptions
         from quadjax.limits.result import save_unverified
         from quadjax.limits.search import NotFoundError
 
     opt.exclude(laps=laps, gates=gates)
     opt.exclude(centers=centers, clearance=clearance or None)
     race = load_config(config, overrides)
-    flight = Flight(gates, laps, stop, None if centers else clearance, speed)
+    flight = FlightOptions(gates, laps, stop, None if centers else clearance, speed)
     search = {"policy": policy, "guesses": guess, "starts": starts, "seconds": seconds}
     try:
         result = _search(race, flight, search)
@@ -88,7 +88,7 @@ def limit(
     return 0
 
 
-def _search(race: "Config", flight: "Flight", search: Mapping[str, Any]) -> "Result":
+def _search(race: "Config", flight: "FlightOptions", search: Mapping[str, Any]) -> "Result":
     """The best known flight; Ctrl-C ends the search with the best so far."""
     from quadjax.limits.result import best_known
 

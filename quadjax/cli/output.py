@@ -11,8 +11,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-SECONDS = 5.0  # after which a step prints a line where there is no terminal
-AMOUNT = re.compile(r": [\d.]+ s\b.*$")  # at the end of a step's text
+LINE_AFTER_S = 5.0  # after which a step prints a line where there is no terminal
+DURATION = re.compile(r": [\d.]+ s\b.*$")  # at the end of a step's text
 ARGUMENTS: contextvars.ContextVar[Sequence[str]] = contextvars.ContextVar("ARGUMENTS", default=())
 
 
@@ -25,8 +25,8 @@ def stderr() -> Console:
 def steps(console: Console | None = None) -> Iterator[Callable[[str], None]]:
     """Yield a function that shows the current step of a command until the block ends.
 
-    A terminal has one line that changes. Elsewhere a step prints one line after ``SECONDS``. Texts
-    that differ only in an amount at the end, as in ``run 1: 3 s flown``, belong to one step.
+    A terminal has one line that changes. Elsewhere a step prints one line after ``LINE_AFTER_S``.
+    Texts that differ only in an amount at the end, as in ``run 1: 3 s flown``, belong to one step.
 
     Args:
         console: that of stderr if not given.
@@ -44,19 +44,19 @@ def steps(console: Console | None = None) -> Iterator[Callable[[str], None]]:
 
 
 class _Lines:
-    """Prints the latest text of a step once, ``SECONDS`` after the step began."""
+    """Prints the latest text of a step once, ``LINE_AFTER_S`` after the step began."""
 
     def __init__(self, console: Console) -> None:
         self._console, self._step, self._text = console, "", ""
-        self.timer = threading.Timer(SECONDS, self._print)
+        self.timer = threading.Timer(LINE_AFTER_S, self._print)
 
     def report(self, text: str) -> None:
         """Set the text; a new step restarts the timer, a new amount of the same step does not."""
-        step, self._text = AMOUNT.sub("", text), text
+        step, self._text = DURATION.sub("", text), text
         if step != self._step:
             self._step = step
             self.timer.cancel()
-            self.timer = threading.Timer(SECONDS, self._print)
+            self.timer = threading.Timer(LINE_AFTER_S, self._print)
             self.timer.daemon = True
             self.timer.start()
 

@@ -12,7 +12,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
 from quadjax.core.precision import single_precision
 from quadjax.core.traced import as_leaves
-from quadjax.race.draws import FROM_GROUND, Disturbance, Start
+from quadjax.race.draws import GROUND_STARTS_FRACTION, Disturbance, Start
 from quadjax.race.environment import Race
 from quadjax.race.layout import ObservedField
 from quadjax.race.observations import make_layout
@@ -138,10 +138,10 @@ def _rules(config: Config, limit: float) -> Rules:
 
 
 def _start(config: Config, track: Track) -> Start:
-    """The starts; a ``race`` of None is ``FROM_GROUND`` where the race starts there, else off."""
+    """The starts; a ``race`` of None is a fraction of a race from the ground, else off."""
     on_ground = track.start is not None and track.start.on_ground
     if config.start.race is None and on_ground:
-        return config.start.replace(race=FROM_GROUND)
+        return config.start.replace(race=GROUND_STARTS_FRACTION)
     return config.start
 
 

@@ -16,14 +16,14 @@ from quadjax.core.sections import BadValue, Needs, refuse
 from quadjax.core.yaml_files import flatten
 from quadjax.learners.schedules import Curriculum
 from quadjax.race.draws import Randomization
-from quadjax.race.random_track import FARTHEST
+from quadjax.race.random_track import MAX_COORDINATE_M
 from quadjax.race.track import check_lap
 from quadjax.race.types import describe_dependents
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import base_model
 
-SMALLEST_LEG = 0.01  # m
-EULER_DEG = 89.0  # largest pitch of a start with Euler angles
+SMALLEST_LEG_M = 0.01
+MAX_EULER_PITCH_DEG = 89.0  # largest pitch of a start with Euler angles
 NEEDS = {  # keys that have an effect only with another one, which their fields name
     f"{section}.{key}": item.key
     for section in Config.model_fields
@@ -203,8 +203,8 @@ def _check_track(config: Config) -> None:
     ``rules.ground_speed``, and within the bounds.
     """
     rules, start, track, laps = config.rules, config.start, config.track, config.evaluate
-    if start.roll_pitch_deg > EULER_DEG and not config.vehicle.quaternion:
-        allowed = f"at most {EULER_DEG:g} without vehicle.quaternion"
+    if start.roll_pitch_deg > MAX_EULER_PITCH_DEG and not config.vehicle.quaternion:
+        allowed = f"at most {MAX_EULER_PITCH_DEG:g} without vehicle.quaternion"
         refuse("start.roll_pitch_deg", start.roll_pitch_deg, allowed)
     for index, (low, high) in enumerate(rules.bounds or ()):
         if low >= high:
@@ -233,7 +233,7 @@ def _check_place(config: Config, key: str, place: Sequence[float], ground: bool 
     if z >= 0:
         refuse(key, place, "z below 0 (above ground; 0 at a start with rules.ground_speed)")
     if limit is not None and far >= limit:
-        room = f"{1.5 * far:g}" if 1.5 * far <= FARTHEST else "null"
+        room = f"{1.5 * far:g}" if 1.5 * far <= MAX_COORDINATE_M else "null"
         remedy = f"a track file may set rules: {{position_limit: {room}}}"
         refuse(key, place, f"|x| and |y| below rules.position_limit, {limit:g} m; {remedy}")
     for axis, p, (low, high) in zip("xyz", (x, y, z), config.rules.bounds or (), strict=False):
@@ -263,5 +263,5 @@ def _check_gate(config: Config, index: int) -> None:
     _check_place(config, f"{key}.position", gate.position)
     before = gates[index - 1].position
     follows = index > 0 or (config.track.closed and len(gates) > 1)
-    if follows and math.dist(before, gate.position) < SMALLEST_LEG:
+    if follows and math.dist(before, gate.position) < SMALLEST_LEG_M:
         refuse(f"{key}.position", gate.position, "another place than the gate before it")

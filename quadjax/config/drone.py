@@ -9,7 +9,7 @@ from quadjax.vehicle.constants import Sign, declarations
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import base_model
 
-MAX_THRUST = 1000.0  # times the weight
+MAX_THRUST_TO_WEIGHT = 1000.0  # times the weight
 INERTIA_TOLERANCE = 1.1  # of the triangle inequality, as moments of inertia are measured
 SIGNS: dict[Sign, tuple[Callable[[float], bool], str]] = {  # of constants, and what is allowed
     "positive": (lambda value: value > 0, "a positive number"),
@@ -75,11 +75,12 @@ def _check_thrust(model: VehicleModel, values: Values, origin: str) -> None:
     """Check that the commands reach from below to above the weight."""
     idle = {**values, **{high: values[low] for low, high in model.ranges}}
     lowest, highest = (model.thrust_to_weight(model.make_constants(x)) for x in (idle, values))
-    if lowest is not None and highest is not None and not lowest < 1 < highest <= MAX_THRUST:
+    limit = MAX_THRUST_TO_WEIGHT
+    if lowest is not None and highest is not None and not lowest < 1 < highest <= limit:
         raise BadValue(
             "vehicle.constants",
             f"vehicle.constants{origin} give a thrust of {lowest:.3g} to {highest:.3g} times the "
-            f"weight, allowed: a range around 1, up to {MAX_THRUST:g}, so that the drone can hover",
+            f"weight, allowed: a range around 1, up to {limit:g}, so that the drone can hover",
         )
 
 

@@ -20,9 +20,9 @@ from quadjax.core.yaml_files import Tree
 from quadjax.race.track import TrackSection, check_lap
 from quadjax.vehicle.registry import base_model
 
-GRAVITY = 9.81
-LEAST_RATIO = 1.05  # of thrust to weight: a drone below it hardly accelerates sideways
-SHORTEST = 0.01  # m, of a leg
+GRAVITY_M_S2 = 9.81
+LEAST_THRUST_TO_WEIGHT = 1.05  # of thrust to weight: a drone below it hardly accelerates sideways
+SHORTEST_LEG_M = 0.01  # of a leg
 ENVS_MULTIPLE = 8
 Location = tuple[str | int, ...]  # of a value in a tree: keys, and indices of lists
 WithUnit = dict[Location, tuple[str, float | int]]  # numbers in units of the race: text, number
@@ -92,7 +92,7 @@ def race_scales(track: TrackSection, vehicle: Vehicle, time_step: float) -> Scal
     if thrust is None:
         allowed = "a model that has thrust_to_weight, or numbers without units of the race"
         refuse("vehicle.model", vehicle.model, allowed)
-    ratio = max(float(thrust), LEAST_RATIO)
+    ratio = max(float(thrust), LEAST_THRUST_TO_WEIGHT)
     centers = np.array([gate.position for gate in track.gates], np.float64)
     lengths = np.linalg.norm(np.roll(centers, -1, axis=0) - centers, axis=1)
     legs = lengths if track.closed else lengths[:-1]
@@ -101,8 +101,8 @@ def race_scales(track: TrackSection, vehicle: Vehicle, time_step: float) -> Scal
         legs = np.linalg.norm(centers - start, axis=1)
     half_gate = 0.5 * min(size for gate in track.gates for size in gate.size)
     return Scales(
-        leg=max(float(legs.mean()), SHORTEST),
-        acceleration=vehicle.constants.get("g", GRAVITY) * math.sqrt(ratio**2 - 1.0),
+        leg=max(float(legs.mean()), SHORTEST_LEG_M),
+        acceleration=vehicle.constants.get("g", GRAVITY_M_S2) * math.sqrt(ratio**2 - 1.0),
         half_gate=half_gate,
         time_step=time_step,
     )

@@ -12,7 +12,7 @@ from quadjax.core.forks import refuse_forked
 from quadjax.core.provenance import cpu_info, processor
 
 MAX_BYTES = 2 * 2**30  # of the folder; the least recently used entries are removed
-MIN_SECONDS = 0.5  # programs that compile faster are not saved
+MIN_COMPILE_S = 0.5  # programs that compile faster are not saved
 
 
 def enable_compilation_cache() -> None:
@@ -45,7 +45,7 @@ def enable_compilation_cache() -> None:
             path.unlink(missing_ok=True)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_compilation_cache_max_size", MAX_BYTES)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_SECONDS)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_S)
 
 
 def cache_folder() -> Path:

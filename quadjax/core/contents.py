@@ -6,7 +6,7 @@ from pathlib import Path
 
 from quadjax.core.errors import InputError, reading
 
-HEAD = 4096  # bytes that are looked at
+HEAD_BYTES = 4096  # bytes that are looked at
 TEXT, EMPTY = "text", "empty"
 NPZ = "an archive of NumPy arrays (.npz)"
 TORCH, SB3 = "a file of PyTorch (.pt)", "a model of Stable-Baselines3 (.zip)"
@@ -48,7 +48,7 @@ def kind_of(path: Path | str) -> str:
         InputError: the file cannot be read.
     """
     with reading(path), open(path, "rb") as stream:
-        head = stream.read(HEAD)
+        head = stream.read(HEAD_BYTES)
         if head.startswith(b"PK"):
             return _kind_of_zip(path)
     return next((kind for start, kind in KINDS.items() if re.match(start, head)), "binary data")

@@ -15,7 +15,7 @@ STOPPING = (
     b"\nstopping: saves after the next evaluation, nothing if compiling takes 5 s more; "
     b"Ctrl-C again ends without saving\n"
 )
-AGAIN = 0.05  # s after which a lost interruption is repeated
+REPEAT_AFTER_S = 0.05  # after which a lost interruption is repeated
 Handler = Callable[[int, FrameType | None], object] | int | None
 
 
@@ -66,7 +66,7 @@ def repeat_lost() -> None:
         if not issubclass(lost.exc_type, KeyboardInterrupt):
             before(lost)
             return
-        again = threading.Timer(AGAIN, _thread.interrupt_main)
+        again = threading.Timer(REPEAT_AFTER_S, _thread.interrupt_main)
         again.daemon = True
         again.start()
 

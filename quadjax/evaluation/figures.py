@@ -22,11 +22,11 @@ from quadjax.race.track import GateSection
 
 Groups = Mapping[str, Sequence[Flight]]
 UP = np.array([1.0, 1.0, -1.0])  # NED to north, east, height
-ELEVATION, AZIMUTH = 28.0, -62.0  # deg, of the view in perspective
+ELEVATION_DEG, AZIMUTH_DEG = 28.0, -62.0  # deg, of the view in perspective
 ACROSS = 4  # groups next to each other
-MANY = 5  # flights of a group that are all drawn; of more the fastest one
+MAX_DRAWN_FLIGHTS = 5  # flights of a group that are all drawn; of more the fastest one
 DARKEST, LIGHTEST = 0.0, 0.78  # of the color map: lines that are lighter do not show on white
-SAME_PLACE = 0.3  # m, between gates that share a label
+SAME_PLACE_M = 0.3  # between gates that share a label
 COMMANDED = "commanded"
 ACTUATORS = {"rpm": "propeller speed (rpm)", "m/s^2": "specific thrust (m/s²)"}  # labels by unit
 ARROW = 0.055  # length of the arrow of a gate, of the longest side of the figure
@@ -45,7 +45,7 @@ def trajectory_figure(
 
     From above: x (north) to the right, y (east) down. From the side: x to the right, height up. The
     scale is the same on all axes. Each group has a column, with the total of its fastest flight,
-    which alone is drawn where there are more than ``MANY``.
+    which alone is drawn where there are more than ``MAX_DRAWN_FLIGHTS``.
 
     Args:
         flights: groups by label, or flights of one group; none draws the track alone.
@@ -54,7 +54,10 @@ def trajectory_figure(
     """
     several = isinstance(flights, Mapping)
     groups: Groups = flights if isinstance(flights, Mapping) else {title: flights}
-    selected = {k: v if len(v) <= MANY or not several else [fastest(v)] for k, v in groups.items()}
+    selected = {
+        k: v if len(v) <= MAX_DRAWN_FLIGHTS or not several else [fastest(v)]
+        for k, v in groups.items()
+    }
     every = [flight for group in selected.values() for flight in group]
     limits = _extent(every, gates)
     size, columns = limits[1] - limits[0], min(len(selected), ACROSS)
@@ -119,7 +122,7 @@ def space_figure(
     axes.set(xlim=(lowest[0], highest[0]), ylim=(highest[1], lowest[1]), zlim=(0.0, highest[2]))
     axes.set_box_aspect(highest - lowest, zoom=1.1)
     axes.zaxis.set_major_locator(MaxNLocator(4))
-    axes.view_init(ELEVATION, AZIMUTH)
+    axes.view_init(ELEVATION_DEG, AZIMUTH_DEG)
     axes.set_xlabel("x, north (m)", color=INK)
     axes.set_ylabel("y, east (m)", color=INK)
     axes.set_zlabel("height (m)", color=INK)
@@ -267,7 +270,7 @@ def _label(
     """Write texts at places (n, 2), ``up`` points higher; those near each other share a label."""
     groups: dict[int, list[str]] = {}
     for point, text in zip(places, texts, strict=True):
-        near = np.linalg.norm(places - point, axis=1) <= SAME_PLACE
+        near = np.linalg.norm(places - point, axis=1) <= SAME_PLACE_M
         groups.setdefault(int(near.argmax()), []).append(text)
     for first, group in groups.items():
         label, place = f"{', '.join(group)}{unit}", tuple(places[first])

@@ -13,7 +13,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.plotting import INK, MUTED, PAPER, headline, new_figure, save_figure, tidy
 from quadjax.core.provenance import provenance
-from quadjax.evaluation.figures import MANY, Groups, colors_of, trajectory_figure
+from quadjax.evaluation.figures import MAX_DRAWN_FLIGHTS, Groups, colors_of, trajectory_figure
 from quadjax.evaluation.responses import Response, error_figure, response
 from quadjax.evaluation.table import Format, counted, flights_table
 from quadjax.flights.flight import Flight, fastest
@@ -120,7 +120,7 @@ class Report:
         count = max(map(len, every))
         leader = np.min([times for times in every if len(times) == count], axis=0)
         for index, (group, flights) in enumerate(self.groups.items()):
-            few = len(flights) <= MANY
+            few = len(flights) <= MAX_DRAWN_FLIGHTS
             style: dict[str, Any] = {"color": colors[group], "lw": 1.8 if few else 0.8}
             style |= {"alpha": 1.0 if few else 0.5}
             line = STYLES[index % len(STYLES)] if len(flights) == 1 else "-"

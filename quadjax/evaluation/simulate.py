@@ -28,9 +28,9 @@ from quadjax.race.track import Track, gate, gate_count
 from quadjax.race.types import RaceParams, RaceState
 from quadjax.vehicle.protocol import Motion
 
-DISTANCE = 1.0  # m before the gate
-VELOCITY, ROLL_PITCH, RATES = 0.5, math.pi / 9, 0.1  # half-widths: m/s, rad, rad/s
-ALIKE = (LAPS, "hover", False)  # protocol of the published flights
+BEFORE_GATE_M = 1.0
+HALF_VELOCITY_M_S, HALF_ROLL_PITCH_RAD, HALF_RATES_RAD_S = 0.5, math.pi / 9, 0.1  # half-widths
+PUBLISHED_PROTOCOL = (LAPS, "hover", False)  # protocol of the published flights
 MAX_LAPS = 64  # that one flight of a given duration is counted for
 RECORDED_STATES = 100_000  # of all runs together: with more, states are not kept
 
@@ -108,7 +108,7 @@ def simulate(
         runs = recorded_flights(kept, laps, time_step, config.track.gates, environment.model)
         return [run.of_drone(config.vehicle.constants) for run in runs]
 
-    is_alike = (protocol.laps, protocol.start, protocol.deterministic) == ALIKE
+    is_alike = (protocol.laps, protocol.start, protocol.deterministic) == PUBLISHED_PROTOCOL
     is_alike = is_alike and condition.damage is None and not protocol.tracks
     published = published_row(config) if is_alike else None
     limit, best = config.vehicle.fitted_speed, config.evaluate.best_known_lap
@@ -153,7 +153,7 @@ def unseen_tracks(config: Config, count: int) -> RandomTracks:
 
 
 def start_before_gate(environment: Race, params: RaceParams, key: jax.Array) -> RaceState:
-    """A start ``DISTANCE`` before a gate, on the line through it; constants are drawn.
+    """A start ``BEFORE_GATE_M`` before a gate, on the line through it; constants are drawn.
 
     The reset of Ferede et al., "One Net to Rule Them All" (arXiv 2504.21586).
     """
@@ -162,12 +162,13 @@ def start_before_gate(environment: Race, params: RaceParams, key: jax.Array) -> 
     draws = draw_start(model, second)
     target = start_gate(params.track, draws["gate"][0])
     g = gate(params.track, target)
-    behind = Vec3(g.cos_yaw, g.sin_yaw, jnp.zeros_like(g.yaw)) * DISTANCE
+    behind = Vec3(g.cos_yaw, g.sin_yaw, jnp.zeros_like(g.yaw)) * BEFORE_GATE_M
     motion = Motion(
         position=g.position - behind,
-        velocity=Vec3.of(draws["velocity"]) * VELOCITY,
-        euler=Vec3.of(draws["euler"]) * Vec3(*map(jnp.float32, (ROLL_PITCH, ROLL_PITCH, math.pi))),
-        rates=Vec3.of(draws["rates"]) * RATES,
+        velocity=Vec3.of(draws["velocity"]) * HALF_VELOCITY_M_S,
+        euler=Vec3.of(draws["euler"])
+        * Vec3(*map(jnp.float32, (HALF_ROLL_PITCH_RAD, HALF_ROLL_PITCH_RAD, math.pi))),
+        rates=Vec3.of(draws["rates"]) * HALF_RATES_RAD_S,
     )
     low, high = map(jnp.asarray, params.start.thrust)
     constants = params.vehicle.constants if state.constants is None else state.constants

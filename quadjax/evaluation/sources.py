@@ -124,7 +124,7 @@ def load_log(
         raise InputError(f"{path}: no sample in flight (logs.columns.mode)")
     if track is None:
         return flight
-    return flight.with_passages(track.gates, gates.REACH, track.closed)
+    return flight.with_passages(track.gates, gates.MEASURED_MARGIN_M, track.closed)
 
 
 def _format_of(path: Path) -> LogsConfig:

@@ -25,7 +25,7 @@ from quadjax.training.folder import check_same
 from quadjax.training.result import Run, is_finished, read_metrics, read_summary
 from quadjax.training.score import GUIDE, no_lap
 
-LAST, FINISHING = 3, 0.9  # evaluations at the end of a training, and the share that has to finish
+LAST_EVALUATIONS, FINISHED_SHARE = 3, 0.9  # of a training; flights that have to finish
 COLUMNS = {  # key of a result: title, scale and format of the cell
     "seed": ("seed", 1.0, ".0f"),
     "seconds": ("train s", 1.0, ".0f"),
@@ -75,8 +75,8 @@ def write_evaluation(run: Run) -> str:
 
 def _last_evaluations(run: Run) -> list[str]:
     """A line where few flights of the last evaluations of a training finish."""
-    shares = run.metrics.get("finished", np.ones(1))[-LAST:]
-    if shares.mean() >= FINISHING:
+    shares = run.metrics.get("finished", np.ones(1))[-LAST_EVALUATIONS:]
+    if shares.mean() >= FINISHED_SHARE:
         return []
     listed = ", ".join(f"{100.0 * share:.0f}%" for share in shares)
     best, steps = (_amount(run.summary[key]) for key in ("best_steps", "steps"))

@@ -9,7 +9,7 @@ from quadjax.core.errors import InputError
 from quadjax.export.names import POWER_OF_TWO, is_range
 from quadjax.policy.file import Policy
 from quadjax.race.layout import LAST_ACTION, Layout
-from quadjax.race.observations import AHEAD, DISTURBANCES, HIGHEST_RPM, fields_of
+from quadjax.race.observations import DISTURBANCES, GATES_AHEAD, HIGHEST_RPM, fields_of
 from quadjax.race.track import Track, gates_ahead, unwrapped_turns
 from quadjax.vehicle.registry import MODELS
 
@@ -112,7 +112,7 @@ def next_gates(track: Track) -> dict[str, np.ndarray]:
         "next_yaw": np.asarray(track.next_yaw)[:, None],
         "next_yaw_unwrapped": np.asarray(unwrapped_turns(track))[:, None],
     }
-    for count in AHEAD:
+    for count in GATES_AHEAD:
         place, yaw = gates_ahead(track, count)
         values[f"next{count}_position"] = np.asarray(place.array())
         values[f"next{count}_yaw"] = np.asarray(yaw)[:, None]

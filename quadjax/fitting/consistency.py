@@ -28,14 +28,14 @@ from quadjax.fitting.identities import (
     signals_of,
 )
 from quadjax.fitting.magnitudes import scale_hint
-from quadjax.fitting.motor_evidence import LAG, MotorEvidence, typical_speeds
+from quadjax.fitting.motor_evidence import TYPICAL_LAG_S, MotorEvidence, typical_speeds
 from quadjax.fitting.signals import first_order
 
 EVIDENCE = 6.0  # least gain of log-likelihood that is evidence
 CHECKED = (*VECTORS, *ATTITUDES, "rpm", "motor_command")
-LONGEST_DELAY = 0.6  # s, that is looked for
+LONGEST_DELAY_S = 0.6  # that is looked for
 SCALES = 1.1 ** np.arange(-73.0, 74.0)  # of up to a thousand
-ANGLES = np.arange(-175.0, 181.0, 5.0)  # deg
+ANGLES_DEG = np.arange(-175.0, 181.0, 5.0)
 NEGATED = "negated"
 UNRELATED = "of something else"
 ALONE = 6.0  # log-likelihood: the columns of a sensor are rarely late one by one
@@ -110,7 +110,7 @@ def _with_motors(quantities: Arrays, rate: float) -> dict[str, np.ndarray]:
         result["rpm"] = typical_speeds(result["motor_command"], rate)
     elif "rpm_command" in result:
         command = result["rpm_command"]
-        result["followed"] = first_order(command, command[0], LAG, 1.0 / rate)
+        result["followed"] = first_order(command, command[0], TYPICAL_LAG_S, 1.0 / rate)
     elif "motor_command" in result:
         result["followed"] = typical_speeds(result["motor_command"], rate)
     return result
@@ -127,7 +127,7 @@ def _search(
         candidates["attitude"] = attitude_changes(form, config.max_delay)
     candidates["rpm"] = motor_changes(config.max_delay, True)
     if "followed" in signals.values:
-        candidates["followed"] = motor_changes(config.max_delay + 2.0 * LAG, False)
+        candidates["followed"] = motor_changes(config.max_delay + 2.0 * TYPICAL_LAG_S, False)
     rows: list[tuple[str, Change]] = []
     gains: list[np.ndarray] = []
     for quantity, changes in candidates.items():
@@ -197,7 +197,7 @@ def motor_changes(delay: float, speeds: bool) -> tuple[Change, ...]:
         Change(*_reordered(order), order=order)
         for order in itertools.islice(itertools.permutations(MOTORS), 1, None)
     ]
-    sizes = np.arange(0.02, LONGEST_DELAY, 0.02)  # s: the speeds change fast
+    sizes = np.arange(0.02, LONGEST_DELAY_S, 0.02)  # s: the speeds change fast
     return (*[spin] * speeds, *orders, *_delayed(MOTORS, sizes, delay))
 
 
@@ -243,7 +243,7 @@ def _scaled(largest: float) -> Iterator[Change]:
 
 def _rotated(largest: float) -> Iterator[Change]:
     """Rotations in each plane of two columns."""
-    for columns, angle in itertools.product(itertools.combinations(AXES, 2), ANGLES):
+    for columns, angle in itertools.product(itertools.combinations(AXES, 2), ANGLES_DEG):
         matrix, turn = np.eye(3), np.radians(angle)
         rotation = [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
         matrix[np.ix_(columns, columns)] = rotation
@@ -254,7 +254,7 @@ def _rotated(largest: float) -> Iterator[Change]:
 def _delays(columns: tuple[int, ...], largest: float) -> Iterator[Change]:
     """Delays of smooth signals, each half as much again as the next shorter one."""
     sizes = largest * np.array([0.5, 1.0, *(1.5 * 1.4 ** np.arange(30.0))])
-    return _delayed(columns, sizes[sizes <= max(LONGEST_DELAY, largest)], largest)
+    return _delayed(columns, sizes[sizes <= max(LONGEST_DELAY_S, largest)], largest)
 
 
 def _delayed(columns: tuple[int, ...], sizes: np.ndarray, largest: float) -> Iterator[Change]:

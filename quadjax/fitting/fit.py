@@ -18,11 +18,11 @@ from quadjax.fitting.nominal import AXES, Constants, units
 from quadjax.fitting.nominal_fit import NominalFits
 from quadjax.fitting.regression import Estimate, check_signs, r_squared
 from quadjax.fitting.residual import ResidualFit, ResidualFits, zero_residual
-from quadjax.fitting.samples import CUTOFF, Folds, Samples, Split, airborne
+from quadjax.fitting.samples import CUTOFF_HZ, Folds, Samples, Split, airborne
 from quadjax.flights.flight import Flight
 from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
 
-UNLIKE = 2.0  # times the base vehicle's thrust
+MAX_THRUST_RATIO = 2.0  # times the base vehicle's thrust
 
 Report = Callable[[str], None]
 
@@ -187,10 +187,10 @@ def check_logs(config: FitConfig, logs: Sequence[Flight], model: str) -> None:
     """
     for log in logs:
         path, measured = log.source["path"], "actuators" in log.signals
-        if log.sample_rate <= 2.0 * CUTOFF:
+        if log.sample_rate <= 2.0 * CUTOFF_HZ:
             raise InputError(
                 f"{path}: a sample rate of {log.sample_rate:.4g} Hz is too low to fit, allowed: "
-                f"above {2.0 * CUTOFF:g} Hz"
+                f"above {2.0 * CUTOFF_HZ:g} Hz"
             )
         if model == "motor" and not measured:
             raise InputError(
@@ -232,7 +232,7 @@ def _scale(
     fitted = {name: x for estimate in estimates for name, x in estimate.constants.items()}
     known = float(base.constants(model).k_w)
     change = fitted.get("k_w", known) / known
-    if not 1.0 / UNLIKE < change < UNLIKE:
+    if not 1.0 / MAX_THRUST_RATIO < change < MAX_THRUST_RATIO:
         speeds = change**0.5  # of the base vehicle, times those of the logs
         hint = scale_hint("rpm", speeds, logs[0].source["rpm_unit"])
         yield (

@@ -15,14 +15,14 @@ from scipy.spatial.transform import Rotation
 
 from quadjax.fitting.formats import FROM_FRD, TO_NED
 from quadjax.fitting.signals import low_pass
-from quadjax.vehicle.airframe import GRAVITY
+from quadjax.vehicle.airframe import GRAVITY_M_S2
 
-BAND = 5.0  # Hz, of the motion that is compared
-RATE = 50.0  # Hz, least sample rate of the comparison
-EDGE = 0.3  # s, left out at either end, where the filters distort the signals
-SHORTEST = 1.0  # s, least duration without the ends
-SECONDS = 60.0  # longest part of a flight that is compared
-SETTLING = 1.0  # s, time constant with which the direction of gravity is followed
+BAND_HZ = 5.0  # of the motion that is compared
+LEAST_RATE_HZ = 50.0  # least sample rate of the comparison
+EDGE_S = 0.3  # left out at either end, where the filters distort the signals
+SHORTEST_S = 1.0  # least duration without the ends
+LONGEST_S = 60.0  # longest part of a flight that is compared
+SETTLING_S = 1.0  # time constant with which the direction of gravity is followed
 # Samples of filtered noise are not independent, nor are all errors noise.
 INDEPENDENT = 0.5
 AXES, MOTORS = (0, 1, 2), (0, 1, 2, 3)
@@ -65,8 +65,8 @@ class Signals:
         return INDEPENDENT * 2.0 * band * np.count_nonzero(self.inner) / self.rate
 
     def low_pass(self, values: np.ndarray) -> np.ndarray:
-        """Signals (.., m, k) below ``BAND``."""
-        return low_pass(values, self.rate, min(BAND, 0.4 * self.rate), axis=-2)
+        """Signals (.., m, k) below ``BAND_HZ``."""
+        return low_pass(values, self.rate, min(BAND_HZ, 0.4 * self.rate), axis=-2)
 
 
 def signals_of(quantities: Arrays, flying: np.ndarray, rate: float) -> Signals | None:
@@ -74,13 +74,13 @@ def signals_of(quantities: Arrays, flying: np.ndarray, rate: float) -> Signals |
     airborne = np.flatnonzero(flying)
     if not len(airborne):
         return None
-    span = slice(airborne[0], min(airborne[-1] + 1, airborne[0] + round(SECONDS * rate)))
-    every = max(1, int(rate / RATE))
+    span = slice(airborne[0], min(airborne[-1] + 1, airborne[0] + round(LONGEST_S * rate)))
+    every = max(1, int(rate / LEAST_RATE_HZ))
     samples = np.arange(0, span.stop - span.start, every)
-    edge = max(round(EDGE * rate / every), 1)
+    edge = max(round(EDGE_S * rate / every), 1)
     inner = flying[span][samples]
     inner[:edge] = inner[len(inner) - edge :] = False
-    if np.count_nonzero(inner) <= SHORTEST * rate / every:
+    if np.count_nonzero(inner) <= SHORTEST_S * rate / every:
         return None
     values = {name: x[span] for name, x in quantities.items()}
     if every > 1:
@@ -97,7 +97,7 @@ class Identity(NamedTuple):
     nonlinear: tuple[str, ...]  # others on which it depends
     bias: float  # standard deviation of its mean that sensors and filters explain
     noise: float  # standard deviation below which it is zero
-    band: float = BAND  # Hz, of its noise; 0 where only its mean counts
+    band: float = BAND_HZ  # Hz, of its noise; 0 where only its mean counts
 
 
 def derivative(values: np.ndarray, rate: float) -> np.ndarray:
@@ -132,7 +132,7 @@ def rotate(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return np.einsum("...ij,...j->...i", matrix, vector)
 
 
-def turning(q: Arrays, rate: float) -> np.ndarray:
+def gyro_residual(q: Arrays, rate: float) -> np.ndarray:
     """Gyro less the rates of the attitude, rad/s."""
     attitude = q["attitude"]
     flat = attitude.reshape(*attitude.shape[:-2], 9)
@@ -141,7 +141,7 @@ def turning(q: Arrays, rate: float) -> np.ndarray:
     return q["gyro"] - np.stack([turn[..., 2, 1], turn[..., 0, 2], turn[..., 1, 0]], axis=-1)
 
 
-def moving(q: Arrays, rate: float) -> np.ndarray:
+def velocity_residual(q: Arrays, rate: float) -> np.ndarray:
     """World or body velocity less the derivative of the position, m/s."""
     slope = derivative(q["position"], rate)
     if "world_velocity" in q:
@@ -149,11 +149,11 @@ def moving(q: Arrays, rate: float) -> np.ndarray:
     return q["body_velocity"] - rotate(q["attitude"].swapaxes(-1, -2), slope)
 
 
-def forcing(q: Arrays, rate: float) -> np.ndarray:
+def accelerometer_residual(q: Arrays, rate: float) -> np.ndarray:
     """Specific force less that of the velocity's derivative and gravity, body axes, m/s^2."""
     world = "world_velocity" in q
     velocity = q["world_velocity"] if world else rotate(q["attitude"], q["body_velocity"])
-    slope = derivative(velocity, rate) - GRAVITY * np.eye(3)[2]
+    slope = derivative(velocity, rate) - GRAVITY_M_S2 * np.eye(3)[2]
     return q["acceleration"] - rotate(q["attitude"].swapaxes(-1, -2), slope)
 
 
@@ -163,7 +163,7 @@ def gravity(q: Arrays, rate: float) -> np.ndarray:
     return derivative(velocity, rate) + np.cross(q["gyro"], velocity) - q["acceleration"]
 
 
-def turning_gravity(q: Arrays, rate: float) -> np.ndarray:
+def gravity_residual(q: Arrays, rate: float) -> np.ndarray:
     """Gravity less its past, turned by the gyro, m/s^2."""
     measured = gravity(q, rate)
     turns = np.broadcast_to(q["gyro"] / rate, measured.shape)
@@ -173,13 +173,13 @@ def turning_gravity(q: Arrays, rate: float) -> np.ndarray:
     for i in range(measured.shape[-2]):
         turned = (turned - np.cross(turns[..., i, :], turned)) / sizes[..., i, :]
         residual[..., i, :] = measured[..., i, :] - turned
-        turned = turned + residual[..., i, :] / (SETTLING * rate)
+        turned = turned + residual[..., i, :] / (SETTLING_S * rate)
     return residual
 
 
-def gravity_size(q: Arrays, rate: float) -> np.ndarray:
+def gravity_size_residual(q: Arrays, rate: float) -> np.ndarray:
     """Gravity along its direction by the columns as logged, less 9.81 m/s^2, (.., n, 1)."""
-    return (gravity(q, rate) * q["down"]).sum(axis=-1, keepdims=True) - GRAVITY
+    return (gravity(q, rate) * q["down"]).sum(axis=-1, keepdims=True) - GRAVITY_M_S2
 
 
 class Evidence:
@@ -194,25 +194,33 @@ class Evidence:
         self.quantities: Arrays = quantities  # (m, 3) as logged, the attitude (m, 3, 3)
         if "quaternion" not in signals.values:
             measured = gravity(quantities, signals.rate)
-            down = measured - turning_gravity(quantities, signals.rate)
+            down = measured - gravity_residual(quantities, signals.rate)
             size = np.linalg.norm(down, axis=1, keepdims=True)
             quantities["down"] = down / np.maximum(size, 1e-9)
             used = ("acceleration", "body_velocity")
             self.identities = [
-                Identity(turning_gravity, used, ("gyro",), bias=0.5, noise=0.05),
-                Identity(gravity_size, used, (), bias=0.5, noise=0.05, band=0.0),
+                Identity(gravity_residual, used, ("gyro",), bias=0.5, noise=0.05),
+                Identity(gravity_size_residual, used, (), bias=0.5, noise=0.05, band=0.0),
             ]
             return
         quantities["attitude"] = Rotation.from_quat(signals.at("quaternion")).as_matrix()
         velocity = "world_velocity" if "world_velocity" in names else "body_velocity"
         self.identities = [
-            Identity(turning, ("gyro",), ("attitude",), bias=0.1, noise=0.01),
-            Identity(forcing, ("acceleration", velocity), ("attitude",), bias=0.5, noise=0.05),
+            Identity(gyro_residual, ("gyro",), ("attitude",), bias=0.1, noise=0.01),
+            Identity(
+                accelerometer_residual,
+                ("acceleration", velocity),
+                ("attitude",),
+                bias=0.5,
+                noise=0.05,
+            ),
         ]
         if "position" in quantities:
             attitude = ("attitude",) if velocity == "body_velocity" else ()
             used = (velocity, "position")
-            self.identities.append(Identity(moving, used, attitude, bias=0.3, noise=0.02))
+            self.identities.append(
+                Identity(velocity_residual, used, attitude, bias=0.3, noise=0.02)
+            )
 
     def laws_of(self, quantity: str) -> list[Identity]:
         """The identities that a quantity is part of."""

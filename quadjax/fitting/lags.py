@@ -25,7 +25,7 @@ from quadjax.fitting.regression import (
 from quadjax.fitting.signals import first_order
 from quadjax.flights.flight import Flight
 
-TAU = (0.002, 0.5, 0.05)  # s: lowest, highest and typical time constant
+TAU_RANGE_S = (0.002, 0.5, 0.05)  # s: lowest, highest and typical time constant
 BETWEEN = "between"  # part of the commands' change between two rows, from 0 (held) to 1
 CLEARLY = 3.0  # standard errors above zero, from which on commands change between the rows
 NODES = np.array([0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)])  # of Gauss, in a sample

@@ -12,8 +12,8 @@ from quadjax.fitting.log_table import LogTable, time_fault
 
 LEAST_ROWS = 50  # of a log, for the filters
 DETERMINANT_SLACK = 0.1  # of a rotation matrix, from 1
-SLOWEST, FASTEST = 2000.0, 60_000.0  # rpm, medians of propeller speeds in flight
-NEAR = 1.25  # largest factor on a scale that another unit explains
+SLOWEST_RPM, FASTEST_RPM = 2000.0, 60_000.0  # rpm, medians of propeller speeds in flight
+MAX_SCALE_RATIO = 1.25  # largest factor on a scale that another unit explains
 USUAL_PAIRS = 7  # of poles, of most motors of racing quadcopters
 
 
@@ -105,11 +105,11 @@ def _check_median(
     """The median speed in flight must be that of a propeller; ``unit`` and its factor to rpm."""
     rows = np.flatnonzero(airborne)
     middle = float(np.median(speeds[rows]))
-    if SLOWEST <= middle <= FASTEST:
+    if SLOWEST_RPM <= middle <= FASTEST_RPM:
         return
-    hint = unit_hint("rpm", middle, unit, SLOWEST, FASTEST)
-    expected = f"expected {SLOWEST:g} to {FASTEST:g}{hint}"
-    if middle < -SLOWEST:
+    hint = unit_hint("rpm", middle, unit, SLOWEST_RPM, FASTEST_RPM)
+    expected = f"expected {SLOWEST_RPM:g} to {FASTEST_RPM:g}{hint}"
+    if middle < -SLOWEST_RPM:
         expected = "expected no sign"
     problem = f"a median of {middle:.4g} rpm in flight; {expected}"
     raise log.error(rows[0], f"{name!r} and on: ", problem)
@@ -140,7 +140,7 @@ def unit_hint(kind: str, value: float, unit: tuple[str, float], low: float, high
 
 def scale_hint(kind: str, scale: float, unit: tuple[str, float]) -> str:
     """The key that explains values of which ``scale`` times are right; see ``unit_hint``."""
-    return unit_hint(kind, 1.0, unit, scale / NEAR, scale * NEAR)
+    return unit_hint(kind, 1.0, unit, scale / MAX_SCALE_RATIO, scale * MAX_SCALE_RATIO)
 
 
 def _check_levels(log: LogTable, names: Names, quantities: Quantities, largest: float) -> None:

@@ -10,16 +10,16 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from quadjax.fitting.identities import BAND as MOTION
+from quadjax.fitting.identities import BAND_HZ as MOTION
 from quadjax.fitting.identities import Change, Signals, derivative
 from quadjax.fitting.nominal import ModelInputs, nominal
 from quadjax.fitting.signals import first_order
 from quadjax.vehicle.constants import constant_names, from_values
 from quadjax.vehicle.motor import MotorConstants
 
-BAND = (1.0, 16.0)  # Hz
-LAG = 0.05  # s, typical of rotors that follow their commands
-TYPICAL = (2500.0, 35_000.0)  # rpm, of a racing drone's motors at commands 0 and 1
+BAND_HZ = (1.0, 16.0)
+TYPICAL_LAG_S = 0.05  # typical of rotors that follow their commands
+TYPICAL_RPM = (2500.0, 35_000.0)  # of a racing drone's motors at commands 0 and 1
 # Signs (3, 4) of roll, pitch and yaw of motors 1 to 4, by the nominal model.
 ONE: MotorConstants = from_values(
     MotorConstants, dict.fromkeys(constant_names(MotorConstants), 1.0)
@@ -32,8 +32,10 @@ def typical_speeds(command: np.ndarray, sample_rate: float) -> np.ndarray:
 
     They have the order, the direction and about the delay of the true ones, but not their scale.
     """
-    steady = TYPICAL[0] + (TYPICAL[1] - TYPICAL[0]) * np.sqrt(np.clip(command, 0.0, 1.0))
-    return first_order(steady, steady[0], LAG, 1.0 / sample_rate)
+    steady = TYPICAL_RPM[0] + (TYPICAL_RPM[1] - TYPICAL_RPM[0]) * np.sqrt(
+        np.clip(command, 0.0, 1.0)
+    )
+    return first_order(steady, steady[0], TYPICAL_LAG_S, 1.0 / sample_rate)
 
 
 class MotorEvidence:
@@ -42,7 +44,7 @@ class MotorEvidence:
     def __init__(self, signals: Signals) -> None:
         """The evidence of a log's signals; of commands, where ``followed`` is among them."""
         rate = signals.rate
-        band = (BAND[0], min(BAND[1], 0.4 * rate))
+        band = (BAND_HZ[0], min(BAND_HZ[1], 0.4 * rate))
         sections = butter(2, band, "band", fs=rate, output="sos")
 
         def band_passed(values: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from quadjax.fitting.axes import fit_axes
 from quadjax.fitting.formats import RPM
 from quadjax.fitting.lags import (
     BETWEEN,
-    TAU,
+    TAU_RANGE_S,
     Followed,
     between_rows,
     fit_lag,
@@ -40,7 +40,7 @@ from quadjax.fitting.lags import (
 )
 from quadjax.fitting.nominal import AXES, EQUATIONS
 from quadjax.fitting.regression import Estimate, Parameter, Problem, half_seconds, unknown
-from quadjax.fitting.samples import CUTOFF, filtered_regressors, prepare
+from quadjax.fitting.samples import CUTOFF_HZ, filtered_regressors, prepare
 from quadjax.fitting.signals import derivative, first_order, low_pass
 from quadjax.flights.flight import MOTORS, Flight, Signal
 from quadjax.vehicle.battery import BatteryConfig
@@ -49,11 +49,11 @@ from quadjax.vehicle.rate import RateConstants
 
 MAP = ("tau", "w_min", "w_max", "k")
 LEAST_GAIN = 0.02  # relative decrease of the error, below which there is no limit
-LEAST_USED = 20.0  # s of hover in the longest flight, below which the drain is not fitted
+LEAST_HOVER_S = 20.0  # of hover in the longest flight, below which the drain is not fitted
 LEAST_EXPLAINED = 0.2  # R^2 of a lag of the inner loop that is used
 START = "highest rpm at the start of "  # before the name of a flight
 EXPLAINED = 0.9  # R^2 of the motor map below which there is a warning
-LEAST_RATE = 60.0  # Hz, of the samples compared without measured speeds
+LEAST_RATE_HZ = 60.0  # of the samples compared without measured speeds
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def fit_battery(
         if "command" in log.signals and used.any()
     }
     flights = list(parts.values())
-    first = Parameter("tau", tau, *TAU)
+    first = Parameter("tau", tau, *TAU_RANGE_S)
     lag = fit_lag(flights, "motors", first, "commanded propeller speeds")
     if not parts:
         return lag, None
@@ -127,7 +127,7 @@ def _fit_limit(
     assert base.rpm_full is not None
     flights = list(parts.values())
     sag = base.rpm_full * base.resistance * base.hover_current / base.voltage
-    has_drain = max(part.used[-1] for part in flights) >= LEAST_USED
+    has_drain = max(part.used[-1] for part in flights) >= LEAST_HOVER_S
     physical: dict[str, Any] = {"low": 0.0, "positive": True, "small": True, "physical": True}
     starts = [
         Parameter(
@@ -176,7 +176,11 @@ def fit_rate_model(
     thrusts = [part._replace(measured=-part.measured[:, 2:]) for part in forces]
     lags = [
         fit_lag(
-            parts, name, Parameter(name, float(getattr(base, name)), *TAU), what, LEAST_EXPLAINED
+            parts,
+            name,
+            Parameter(name, float(getattr(base, name)), *TAU_RANGE_S),
+            what,
+            LEAST_EXPLAINED,
         )
         for name, parts, what in (
             ("tau_rate", rates, "commanded body rates"),
@@ -240,7 +244,7 @@ def fit_motors(
         "group": "motors",
         "uncertain": EQUATIONS[RacingConstants].uncertain,
         "parameters": [
-            Parameter("tau", values["tau"], *TAU),
+            Parameter("tau", values["tau"], *TAU_RANGE_S),
             Parameter("w_min", values["w_min"], *limits["w_min"], 1000.0, physical=True),
             Parameter("w_max", values["w_max"], *limits["w_max"], 1000.0, fixed=not measured),
             Parameter("k", values["k"], 0.0, 1.0, physical=True),
@@ -268,12 +272,13 @@ def _unmeasured(
 ) -> Problem:
     """Forces and moments with the best constants of the rotors for motors of some values."""
     rows = [
-        np.flatnonzero(used)[:: max(1, int(log.sample_rate / LEAST_RATE))] for log, used in flights
+        np.flatnonzero(used)[:: max(1, int(log.sample_rate / LEAST_RATE_HZ))]
+        for log, used in flights
     ]
     signals = []
     for (log, _), index in zip(flights, rows, strict=True):
-        turn = derivative(low_pass(log["rates"], log.sample_rate, CUTOFF), log.sample_rate)
-        force = low_pass(log["specific_force"][:, 2:], log.sample_rate, CUTOFF)
+        turn = derivative(low_pass(log["rates"], log.sample_rate, CUTOFF_HZ), log.sample_rate)
+        force = low_pass(log["specific_force"][:, 2:], log.sample_rate, CUTOFF_HZ)
         signals.append(np.concatenate([force, turn], axis=1)[index])
     measured = np.concatenate(signals)
     measured = measured / measured.std(axis=0)

@@ -32,9 +32,9 @@ from quadjax.fitting.log_table import (
     unwrapped,
 )
 
-BRIDGED = 0.02  # s, of gaps in which a straight line takes the place of the signals
-GUARD = 0.1  # s next to a gap, within the filters' reach
-SETTLING = 0.5  # s, until unknown propeller speeds have no effect
+BRIDGED_S = 0.02  # of gaps in which a straight line takes the place of the signals
+GUARD_S = 0.1  # next to a gap, within the filters' reach
+SETTLING_S = 0.5  # until unknown propeller speeds have no effect
 
 
 def called(function: Callable, path: Path | str, *arguments: object) -> Any:
@@ -286,8 +286,8 @@ def evenly(quantities: Quantities) -> tuple[Quantities, np.ndarray, np.ndarray]:
             result[name] = interpolated(even, time, values)
     mode = quantities.get("mode")
     flying = np.ones(count, bool) if mode is None else mode[last] > 0
-    after = SETTLING if "rpm" not in quantities else GUARD
-    gaps = np.flatnonzero(steps > max(BRIDGED, 2.5 * usual))
+    after = SETTLING_S if "rpm" not in quantities else GUARD_S
+    gaps = np.flatnonzero(steps > max(BRIDGED_S, 2.5 * usual))
     for gap in gaps:
-        flying &= (even < time[gap] - GUARD) | (even > time[gap + 1] + after)
+        flying &= (even < time[gap] - GUARD_S) | (even > time[gap + 1] + after)
     return result, flying, steps[gaps]

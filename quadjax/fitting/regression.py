@@ -21,7 +21,7 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.fitting.solvers import Minimum, linear, nonlinear
 
-BLOCK = 0.5  # s
+BLOCK_S = 0.5
 SIGNIFICANT = 2.0  # standard errors above zero
 EXCLUDED = 3.0  # standard errors between an estimate and a base value that the logs exclude
 NEGATED = 3.0  # standard errors below zero, from which on a column of the log must be wrong
@@ -162,7 +162,7 @@ def check_signs(estimates: Sequence[Estimate]) -> None:
 def half_seconds(times: Sequence[np.ndarray]) -> np.ndarray:
     """Index (n,) of the block of half a second, of the times (n_i,), s, of several flights."""
     flight = np.repeat(np.arange(len(times)), [len(time) for time in times])
-    label = flight * 1_000_000 + np.floor(np.concatenate(times) / BLOCK).astype(int)
+    label = flight * 1_000_000 + np.floor(np.concatenate(times) / BLOCK_S).astype(int)
     return np.unique(label, return_inverse=True)[1]
 
 

@@ -30,7 +30,7 @@ from quadjax.fitting.samples import Folds, Samples, Split
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.residual import Residual
 
-SAMPLE_RATE = 50.0  # Hz, of the rows that networks are trained on
+SAMPLE_RATE_HZ = 50.0  # of the rows that networks are trained on
 SCALES = np.linspace(0.0, 1.0, 21)
 MIN_GAIN = 0.01  # least relative gain on held-out data
 SMOOTHED = 5  # epochs: the minimum of a noisy curve is biased
@@ -97,7 +97,7 @@ class ResidualFits:
             config: of the training.
             seed: of everything random.
         """
-        every = slice(None, None, max(1, int(round(samples.sample_rate / SAMPLE_RATE))))
+        every = slice(None, None, max(1, int(round(samples.sample_rate / SAMPLE_RATE_HZ))))
         self._rows, self._fold = samples[every], split.fold[every]
         ends = float(base.rpm_min), float(base.rpm_max)
         self._inputs = file_inputs(self._rows.motion, ends)

@@ -24,17 +24,17 @@ from quadjax.core.errors import InputError
 from quadjax.fitting.config import SplitConfig
 from quadjax.fitting.motor_evidence import typical_speeds
 from quadjax.fitting.nominal import Constants, ModelInputs, angular_moment, regressors
-from quadjax.fitting.quantities import GUARD, SETTLING
+from quadjax.fitting.quantities import GUARD_S, SETTLING_S
 from quadjax.fitting.signals import Rows, concatenated, derivative, low_pass, noise_level
 from quadjax.flights.flight import Flight
 
-CUTOFF = 16.0  # Hz
+CUTOFF_HZ = 16.0
 AIRBORNE = 0.5  # of the flight's median rpm, below which it is on the ground
-PAUSE = 1.0  # s below it that count as a landing
+PAUSE_S = 1.0  # below it that count as a landing
 
 Folds = frozenset[int]  # the folds that a fit uses
-TEST = -1
-NOWHERE = -2  # unused rows next to test rows, within the filter's reach
+TEST_ROW = -1
+GUARD_ROW = -2  # unused rows next to test rows, within the filter's reach
 BLOCKS = 4  # of a flight's time, at most
 
 
@@ -52,7 +52,7 @@ class Samples(struct.PyTreeNode, Rows):
 
 def settled(log: Flight) -> np.ndarray:
     """Samples (n,) bool in flight at which the unknown speeds of the start have no effect."""
-    return log.flying & (log.time - log.time[0] > SETTLING)
+    return log.flying & (log.time - log.time[0] > SETTLING_S)
 
 
 def airborne(log: Flight, min_seconds: float = 0.0) -> np.ndarray:
@@ -77,7 +77,7 @@ def airborne(log: Flight, min_seconds: float = 0.0) -> np.ndarray:
     edges = np.flatnonzero(np.diff(np.concatenate([[True], spinning, [True]])))
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         at_an_end = start == 0 or stop == len(mean)
-        if at_an_end or stop - start > PAUSE * log.sample_rate:
+        if at_an_end or stop - start > PAUSE_S * log.sample_rate:
             mask[start:stop] = False
     if mask.sum() < min_seconds * log.sample_rate:
         whole = " without gaps" if log.source.get("gaps") else ""
@@ -112,17 +112,17 @@ def filtered_regressors(log: Flight, constants: Constants) -> dict[str, np.ndarr
     rate, rpm = log.sample_rate, log["actuators"]
     motion = ModelInputs(rpm, derivative(rpm, rate), log["body_velocity"], log["rates"])
     columns = regressors(motion, constants)
-    return {axis: low_pass(values, rate, CUTOFF) for axis, values in columns.items()}
+    return {axis: low_pass(values, rate, CUTOFF_HZ) for axis, values in columns.items()}
 
 
 def _prepare_one(log: Flight, index: int, constants: Constants) -> Samples:
     rate, random = log.sample_rate, np.random.default_rng(index)
 
     def smooth(signal: np.ndarray) -> np.ndarray:
-        return low_pass(signal, rate, CUTOFF)
+        return low_pass(signal, rate, CUTOFF_HZ)
 
     def noisier(signal: np.ndarray) -> np.ndarray:
-        return signal + noise_level(signal, rate, CUTOFF) * random.normal(size=signal.shape)
+        return signal + noise_level(signal, rate, CUTOFF_HZ) * random.normal(size=signal.shape)
 
     still = np.zeros_like(log["rates"])
     rates, rpm = smooth(log["rates"]), smooth(log["actuators"])
@@ -147,7 +147,7 @@ class Split:
     """A fold number for every row."""
 
     by: str  # flight, time
-    fold: np.ndarray  # (n,) 0 .. folds - 1, TEST or NOWHERE
+    fold: np.ndarray  # (n,) 0 .. folds - 1, TEST_ROW or GUARD_ROW
     names: tuple[str, ...]  # of the folds
 
     @property
@@ -162,7 +162,7 @@ class Split:
     def tests(self, flight: np.ndarray, flights: Sequence[str]) -> Iterator[tuple[str, np.ndarray]]:
         """Name and rows (n,) bool of the test rows of each flight that has some."""
         for index, name in enumerate(flights):
-            rows = (self.fold == TEST) & (flight == index)
+            rows = (self.fold == TEST_ROW) & (flight == index)
             if rows.any():
                 yield (name if self.by == "flight" else f"{name}, last part"), rows
 
@@ -184,7 +184,7 @@ def make_split(times: Sequence[np.ndarray], flights: Sequence[str], config: Spli
     learned = [index for index, name in enumerate(flights) if name not in config.test_flights]
     if not learned:
         raise InputError("split.test_flights leaves no training flight")
-    folds = [np.full(len(time), TEST) for time in times]
+    folds = [np.full(len(time), TEST_ROW) for time in times]
     if config.by == "time" or (config.by == "auto" and len(learned) < 2):
         count = min(BLOCKS, config.folds)
         for index in learned:
@@ -207,6 +207,6 @@ def _blocks(time: np.ndarray, count: int, test_fraction: float) -> np.ndarray:
     fraction = np.arange(len(time)) / len(time) / (1.0 - test_fraction)
     fold = np.minimum(np.floor(fraction * count).astype(int), count)
     last = time[fold < count][-1]
-    fold[(fold < count) & (time > last - GUARD)] = NOWHERE
-    fold[fold == count] = TEST
+    fold[(fold < count) & (time > last - GUARD_S)] = GUARD_ROW
+    fold[fold == count] = TEST_ROW
     return fold

@@ -24,10 +24,10 @@ from quadjax.core.contents import ULOG, ULOG_MAGIC, check_kind
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file
 from quadjax.fitting.log_table import LogTable, continuous, indexed_alike, interpolated, time_fault
-from quadjax.vehicle.airframe import GRAVITY
+from quadjax.vehicle.airframe import GRAVITY_M_S2
 
-MAX_GAP = 0.05  # s, between samples of a topic
-MAX_STEP = 0.125  # s, the same of velocity and position
+MAX_GAP_S = 0.05  # between samples of a topic
+MAX_SLOW_GAP_S = 0.125  # the same of velocity and position
 ORDER = (2, 0, 3, 1)  # motors front-left, front-right, rear-right, rear-left
 COLUMNS = {
     "time": ["timestamp"],
@@ -50,8 +50,8 @@ SOURCES = {  # topic and fields by quantity; fields of another topic in place of
     "motor_command": (HELD, COLUMNS["motor_command"]),
 }
 ESC = "esc_status"
-HEADER = 16  # bytes
-STALE = 3  # samples at the start of a topic that may be of long before
+HEADER_BYTES = 16
+STALE_SAMPLES = 3  # samples at the start of a topic that may be of long before
 OTHER = ("vehicle_acceleration", COLUMNS["gyro"])  # of the acceleration
 Fields = dict[str, np.ndarray]  # of a topic, each (n,)
 
@@ -88,8 +88,8 @@ def read_ulog(path: Path) -> LogTable:
     sources = dict(SOURCES)
     if SOURCES["acceleration"][0] not in topics:
         sources["acceleration"] = OTHER
-    if ESC in topics and HELD in topics and (usual := _usual(_times(topics[ESC]))) > MAX_GAP:
-        left_out.append(f"topic {ESC} (a sample every {usual:.2g} s, allowed: {MAX_GAP:g} s)")
+    if ESC in topics and HELD in topics and (usual := _usual(_times(topics[ESC]))) > MAX_GAP_S:
+        left_out.append(f"topic {ESC} (a sample every {usual:.2g} s, allowed: {MAX_GAP_S:g} s)")
         del topics[ESC]
     series = {
         quantity: _series(path, topics[topic], topic, fields, COLUMNS[quantity])
@@ -105,7 +105,7 @@ def read_ulog(path: Path) -> LogTable:
 
 def _is_cut(content: bytes) -> bool:
     """Whether the last message of a ULog file is not whole."""
-    at = HEADER
+    at = HEADER_BYTES
     while at + 3 <= len(content):  # the size of a message, two bytes, and its kind precede it
         at += 3 + int.from_bytes(content[at : at + 2], "little")
     return at != len(content)
@@ -167,7 +167,7 @@ def _integrated(
     usable = np.isfinite(quaternion).all() and quaternion.any(axis=1).all() and inside.any()
     if not usable:
         return {}
-    slope = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).apply(force) + [0.0, 0.0, GRAVITY]
+    slope = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).apply(force) + [0.0, 0.0, GRAVITY_M_S2]
     result = {}
     for quantity in ("world_velocity", "position"):
         time, values = series[quantity].time, series[quantity].values
@@ -226,9 +226,9 @@ def _series(path: Path, data: Fields, topic: str, fields: list[str], names: list
     time, rows = _times(data), np.arange(len(values))
     if topic == HELD and (armed := np.flatnonzero(np.isfinite(values[:, :count]).all(1))).size:
         rows = rows[armed[0] : armed[-1] + 1]
-    usual, step = _usual(time), MAX_STEP if topic == SLOW else MAX_GAP
+    usual, step = _usual(time), MAX_SLOW_GAP_S if topic == SLOW else MAX_GAP_S
     slow, longest = usual > step, max(step, 2.5 * usual)
-    for _ in range(STALE):
+    for _ in range(STALE_SAMPLES):
         if len(rows) > 2 and np.diff(time[rows[:2]]) > 1e6 * longest:
             rows = rows[1:]
     if fault := time_fault(1e-6 * time[rows], step if slow else np.inf):

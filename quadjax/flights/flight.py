@@ -12,9 +12,9 @@ from quadjax.race.laps import Laps, Trace
 from quadjax.race.track import GateSection
 from quadjax.vehicle.protocol import VehicleModel
 
-RATE = 100.0  # samples per second of flights that are resampled
-LONGEST_STEP, SHORTEST_STEP = 0.0201, 0.0079  # s, of flights that are about as dense as ``RATE``
-OF_ONE_GATE = 0.3  # m by which openings are wider on a track of one gate, which has no targets
+SAMPLE_RATE_HZ = 100.0  # of flights that are resampled
+LONGEST_STEP_S, SHORTEST_STEP_S = 0.0201, 0.0079  # of flights about as dense as ``SAMPLE_RATE_HZ``
+SINGLE_GATE_MARGIN_M = 0.3  # of openings on a track of one gate, which has no targets
 AXES, ANGLES, RATES = ("x", "y", "z"), ("roll", "pitch", "yaw"), ("p, roll", "q, pitch", "r, yaw")
 MOTORS = ("front left", "front right", "rear right", "rear left")
 MOTION = {  # of every flight: unit and labels
@@ -212,7 +212,7 @@ class Flight:
             source=self.source | {"note": note},
         )
 
-    def resample(self, rate: float = RATE) -> Self:
+    def resample(self, rate: float = SAMPLE_RATE_HZ) -> Self:
         """The flight at a rate, Hz, unless its samples are already about as dense.
 
         Positions follow the cubic curve of positions and velocities, attitudes the shortest turns,
@@ -220,8 +220,8 @@ class Flight:
         """
         from scipy.interpolate import CubicHermiteSpline  # takes long to import
 
-        steps = np.diff(self.time) * rate / RATE
-        if len(steps) < 1 or (steps.min() >= SHORTEST_STEP and steps.max() <= LONGEST_STEP):
+        steps = np.diff(self.time) * rate / SAMPLE_RATE_HZ
+        if len(steps) < 1 or (steps.min() >= SHORTEST_STEP_S and steps.max() <= LONGEST_STEP_S):
             return self
         count = max(int(np.ceil(float(self.time[-1] - self.time[0]) * rate)) + 1, 2)
         time = np.linspace(self.time[0], self.time[-1], count)
@@ -360,7 +360,7 @@ def simulated_flight(
         time,
         values["position"],
         gates,
-        reach=OF_ONE_GATE if len(gates) == 1 else 0.0,
+        reach=SINGLE_GATE_MARGIN_M if len(gates) == 1 else 0.0,
         target=target[:, 0],
         cut=cut and not crash,
     )

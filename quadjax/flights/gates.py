@@ -6,9 +6,9 @@ import numpy as np
 
 from quadjax.race.track import GateSection
 
-REACH = 0.1  # m by which openings are wider for positions that were measured
-SAME = 1e-4  # m, between gates of one track
-LAST_SECONDS = 0.05  # a path may end so long before its last gate, whose passage ended the flight
+MEASURED_MARGIN_M = 0.1  # of openings for positions that were measured
+SAME_GATE_M = 1e-4  # between gates of one track
+LAST_GATE_S = 0.05  # a path may end so long before its last gate, whose passage ended the flight
 
 
 def clearance(gate: GateSection, place: np.ndarray) -> np.ndarray:
@@ -22,12 +22,12 @@ def clearance(gate: GateSection, place: np.ndarray) -> np.ndarray:
 
 
 def is_same_track(gates: Sequence[GateSection], others: Sequence[GateSection]) -> bool:
-    """Whether gates are those of another track, within ``SAME``."""
+    """Whether gates are those of another track, within ``SAME_GATE_M``."""
     one, two = (
         np.array([[*gate.position, *np.ravel(gate.axes), *gate.size] for gate in track])
         for track in (gates, others)
     )
-    return one.shape == two.shape and np.allclose(one, two, atol=SAME)
+    return one.shape == two.shape and np.allclose(one, two, atol=SAME_GATE_M)
 
 
 def passages(
@@ -43,7 +43,7 @@ def passages(
     """Where a path passes the gates, in their order.
 
     A path passes the gate ahead where the straight line between two samples crosses its plane from
-    behind, within the opening. The path may end up to ``LAST_SECONDS`` before the plane of the gate
+    behind, within the opening. The path may end up to ``LAST_GATE_S`` before the plane of the gate
     ahead, as does the record of a flight that this passage ended: its last velocity then gives time
     and place.
 
@@ -158,14 +158,14 @@ def _crossing_after_end(
 ) -> tuple[float, float] | None:
     """Time and clearance at which a path that ends before a gate's plane would cross it.
 
-    The velocity is the mean over the last ``LAST_SECONDS`` of the path. None if the path would
+    The velocity is the mean over the last ``LAST_GATE_S`` of the path. None if the path would
     take longer to the plane.
     """
-    first = min(int(np.searchsorted(time, time[-1] - LAST_SECONDS)), len(time) - 2)
+    first = min(int(np.searchsorted(time, time[-1] - LAST_GATE_S)), len(time) - 2)
     axes = np.array(gate.axes)
     velocity = (position[-1] - position[first]) / (time[-1] - time[first]) @ axes
     place = (position[-1] - np.array(gate.position)) @ axes
-    if not 0.0 < -place[0] <= LAST_SECONDS * velocity[0]:
+    if not 0.0 < -place[0] <= LAST_GATE_S * velocity[0]:
         return None
     left = -place[0] / velocity[0]
     return float(time[-1] + left), float(clearance(gate, (place + left * velocity)[1:]))

@@ -18,15 +18,15 @@ import numpy as np
 from quadjax.limits.problem import ATTITUDE, POSITION, RATES, VELOCITY, Problem
 from quadjax.limits.trajectory import Trajectory
 from quadjax.limits.translate import casadi, translate
-from quadjax.race.rules import BENEATH
+from quadjax.race.rules import TAKEOFF_DEPTH_M
 
-SMOOTHNESS = 1e-4  # s, weight of the squared command differences, relative to the command range
-LOWEST = 1e-3  # of a command's range, left out: a motor map may have no slope at its lowest command
+SMOOTHNESS_S = 1e-4  # weight of the squared command differences, relative to the command range
+LEFT_OUT_FRACTION = 1e-3  # of a command's range: a motor map may have no slope at its lowest
 LEG_SECONDS = (0.02, 60.0)
-ITERATIONS = 500  # of IPOPT, at most
-SLOWEST_PASSAGE = 0.2  # m/s, smallest speed through a gate
-BEYOND = 1e-5  # m beyond the gate's plane, at the end of a leg; much less than any margin
-UNLIMITED = 500.0  # rad/s, body rates that no drone reaches
+MAX_ITERATIONS = 500  # of IPOPT, at most
+SLOWEST_PASSAGE_M_S = 0.2  # smallest speed through a gate
+BEYOND_PLANE_M = 1e-5  # at the end of a leg; much less than any margin
+UNLIMITED_RAD_S = 500.0  # body rates that no drone reaches
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Settings:
     margin: float = 0.0  # m, further distance from the edges of the openings and the bounds
     reserve: float = 0.0  # fraction of the ranges of commands that is not used
     turning: float = 1.0  # fraction of the body rates' limits
-    smoothness: float = SMOOTHNESS  # s, weight of the squared command differences
+    smoothness: float = SMOOTHNESS_S  # s, weight of the squared command differences
     seconds: float = 300.0  # limit of wall-clock time
     warm: bool = False  # the guess is close to a solution, as from a coarser mesh
 
@@ -84,7 +84,7 @@ def solve(
     """
     program, (low, high), count = casadi.Opti(), problem.command_range, guess.intervals
     span, reserve = np.where(high > low, high - low, 1.0), settings.reserve
-    ends = low + max(LOWEST, reserve) * span, high - reserve * span
+    ends = low + max(LEFT_OUT_FRACTION, reserve) * span, high - reserve * span
     scales = (
         np.maximum(np.abs(guess.states).max(axis=0), 1.0),
         np.maximum(np.abs(low), np.abs(high)),
@@ -95,23 +95,23 @@ def solve(
     program.set_initial(durations, guess.leg_times)
     for variable, table, scale in zip(nodes, (guess.states, guess.commands), scales, strict=True):
         program.set_initial(variable, (table / scale).T)
-    bound(program, durations, *LEG_SECONDS)
-    bound(program, u, *(end[:, None] for end in ends))
+    add_bound(program, durations, *LEG_SECONDS)
+    add_bound(program, u, *(end[:, None] for end in ends))
     step = casadi.reshape(casadi.repmat(durations.T / count, count, 1), 1, -1)
     interval = dynamics.interval.map(len(guess.states) - 1)
     defect, between = interval(x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], step)
     moving = np.flatnonzero(~dynamics.still)
-    bound(program, defect[moving.tolist(), :] / scales[0][moving], 0.0, 0.0)
+    add_bound(program, defect[moving.tolist(), :] / scales[0][moving], 0.0, 0.0)
     _add_ends(program, problem, dynamics.still, guess, x, u)
     add_rules(program, problem, x[POSITION, :], x[VELOCITY, :], settings.margin)
     limit = settings.turning * problem.rate_limit
-    for axis in np.flatnonzero(limit < UNLIMITED):
+    for axis in np.flatnonzero(limit < UNLIMITED_RAD_S):
         rates = casadi.horzcat(x[RATES, 1:], between)[int(axis), :]
-        bound(program, rates, -limit[axis], limit[axis])
+        add_bound(program, rates, -limit[axis], limit[axis])
     if math.isfinite(problem.pitch_limit):
         q0, q1, q2, q3 = casadi.vertsplit(x[ATTITUDE, 1:])
         steepest = math.sin(problem.pitch_limit)
-        bound(program, 2.0 * (q0 * q2 - q1 * q3), -steepest, steepest)
+        add_bound(program, 2.0 * (q0 * q2 - q1 * q3), -steepest, steepest)
     smooth = casadi.sumsqr((u[:, 1:] - u[:, :-1]) / span)
     program.minimize(casadi.sum1(durations) + settings.smoothness * smooth)
     converged, status = _minimize(program, settings, stop, report)
@@ -130,18 +130,18 @@ def _add_ends(
     """
     start = problem.start[:, None]
     if still.any():
-        bound(program, x[np.flatnonzero(still).tolist(), :], start[still], start[still])
+        add_bound(program, x[np.flatnonzero(still).tolist(), :], start[still], start[still])
     if not problem.periodic:
-        bound(program, x[:, 0], start, start)
+        add_bound(program, x[:, 0], start, start)
         return
     first, last = guess.states[0, ATTITUDE], guess.states[-1, ATTITUDE]
     sign = np.ones(len(start))
     sign[ATTITUDE] = 1.0 if first @ last >= 0.0 else -1.0
     closed = ~still
     closed[ATTITUDE.start + int(np.argmax(np.abs(first)))] = False
-    bound(program, (x[:, -1] - sign * x[:, 0])[np.flatnonzero(closed).tolist()], 0.0, 0.0)
-    bound(program, u[:, -1] - u[:, 0], 0.0, 0.0)
-    bound(program, casadi.sumsqr(x[ATTITUDE, 0]), 1.0, 1.0)
+    add_bound(program, (x[:, -1] - sign * x[:, 0])[np.flatnonzero(closed).tolist()], 0.0, 0.0)
+    add_bound(program, u[:, -1] - u[:, 0], 0.0, 0.0)
+    add_bound(program, casadi.sumsqr(x[ATTITUDE, 0]), 1.0, 1.0)
 
 
 def _minimize(
@@ -153,7 +153,7 @@ def _minimize(
         "sb": "yes",
         "tol": 1e-6,
         "acceptable_tol": 1e-5,
-        "max_iter": ITERATIONS,
+        "max_iter": MAX_ITERATIONS,
         "max_wall_time": max(0.1, settings.seconds),
         "mu_init": 1e-4 if settings.warm else 1e-2,
         "bound_relax_factor": 0.0,  # a motor map has no slope beyond its lowest command
@@ -177,7 +177,7 @@ def _minimize(
     return bool(stats["success"]), str(stats["return_status"])
 
 
-def bound(program: Any, expression: Any, low: Any, high: Any) -> None:
+def add_bound(program: Any, expression: Any, low: Any, high: Any) -> None:
     """Add ``low <= expression <= high``, which broadcast to the shape of the expression."""
     ends = (np.broadcast_to(np.asarray(end, float), expression.shape) for end in (low, high))
     low, high = (casadi.DM(end.ravel("F")) for end in ends)
@@ -192,15 +192,15 @@ def add_rules(program: Any, problem: Problem, position: Any, velocity: Any, marg
     """
     stops, nodes, legs = problem.flight.stops, position.shape[1], len(problem.order)
     count, (low, high) = (nodes - 1) // legs, problem.bounds[..., None]
-    bound(program, position[:, 1 : nodes - stops], low + margin, high - margin)
-    bound(program, casadi.sum1(velocity[:, 1:] ** 2), -np.inf, problem.speed_limit**2)
+    add_bound(program, position[:, 1 : nodes - stops], low + margin, high - margin)
+    add_bound(program, casadi.sum1(velocity[:, 1:] ** 2), -np.inf, problem.speed_limit**2)
     if problem.landing is not None:
         _add_ground(program, problem, position, velocity, margin)
     for leg, gate in enumerate(problem.order, 1):
         place, speed = position[:, leg * count], velocity[:, leg * count]
         if stops and leg == legs:
-            bound(program, place, *[problem.gates.position[gate][:, None]] * 2)
-            bound(program, speed, 0.0, 0.0)
+            add_bound(program, place, *[problem.gates.position[gate][:, None]] * 2)
+            add_bound(program, speed, 0.0, 0.0)
         else:
             _add_gate(program, problem, gate, place, speed, margin)
 
@@ -212,11 +212,11 @@ def _add_ground(
     assert problem.landing is not None
     (height, speed), count = problem.landing, (position.shape[1] - 1) // len(problem.order)
     first = 1 if problem.periodic else 1 + count
-    bound(program, position[2, first:], -np.inf, -height - margin)
+    add_bound(program, position[2, first:], -np.inf, -height - margin)
     if not problem.periodic:
-        slope = speed**2 / (height + BENEATH)  # at BENEATH no speed is left
+        slope = speed**2 / (height + TAKEOFF_DEPTH_M)  # at TAKEOFF_DEPTH_M no speed is left
         allowed = speed**2 - slope * (position[2, 1:first] + height)
-        bound(program, casadi.sum1(velocity[:, 1:first] ** 2) - allowed, -np.inf, 0.0)
+        add_bound(program, casadi.sum1(velocity[:, 1:first] ** 2) - allowed, -np.inf, 0.0)
 
 
 def _add_gate(
@@ -226,10 +226,10 @@ def _add_gate(
     gates, clearance = problem.gates, problem.flight.clearance
     offset = place - gates.position[gate]
     local, speed = (casadi.mtimes(gates.axes[gate], vector) for vector in (offset, velocity))
-    bound(program, local[0], BEYOND, BEYOND)
-    bound(program, speed[0], SLOWEST_PASSAGE, np.inf)
+    add_bound(program, local[0], BEYOND_PLANE_M, BEYOND_PLANE_M)
+    add_bound(program, speed[0], SLOWEST_PASSAGE_M_S, np.inf)
     if clearance is None:
-        bound(program, local[1:], 0.0, 0.0)
+        add_bound(program, local[1:], 0.0, 0.0)
         return
     places = [local]
     if problem.frame_depth is not None:  # through it, along the velocity
@@ -238,6 +238,6 @@ def _add_gate(
     half = np.maximum(gates.half_size[gate] - clearance - margin, 0.0)[:, None]
     for inside in places:
         if gates.circle[gate] and half[0] > 0.0:
-            bound(program, casadi.sumsqr(inside[1:]) / half[0] ** 2, -np.inf, 1.0)
+            add_bound(program, casadi.sumsqr(inside[1:]) / half[0] ** 2, -np.inf, 1.0)
         else:
-            bound(program, inside[1:], -half, half)
+            add_bound(program, inside[1:], -half, half)

@@ -23,9 +23,9 @@ from quadjax.policy.race import warn_of_other_race
 
 INTERVALS = 20  # of a leg, on the first mesh
 POLICY_LAPS = 4
-FASTEST_RATES = 12.0  # rad/s, body rates of a guess at most
-SPEEDS = (8.0, 4.0, 6.0, 2.5)  # m/s, means along the splines
-SPREAD = 0.8  # fraction of the openings, within which random points are
+MAX_RATES_RAD_S = 12.0  # body rates of a guess at most
+SPEEDS_M_S = (8.0, 4.0, 6.0, 2.5)  # means along the splines
+OPENING_FRACTION = 0.8  # fraction of the openings, within which random points are
 UPRIGHT = 0.15  # smallest vertical part of the force, where the pitch is limited
 
 
@@ -92,9 +92,9 @@ def from_spline(problem: Problem, index: int = 0, intervals: int = INTERVALS) ->
     The actuators are those of a hover. The nose of the second and of every other guess is along the
     velocity. All but the first two go through random points of the openings.
     """
-    gates, order, speed = problem.gates, problem.order, SPEEDS[index % len(SPEEDS)]
+    gates, order, speed = problem.gates, problem.order, SPEEDS_M_S[index % len(SPEEDS_M_S)]
     sides = np.random.default_rng(index).uniform(-1.0, 1.0, gates.half_size.shape)
-    sides = SPREAD * (index > 1) * sides * gates.half_size
+    sides = OPENING_FRACTION * (index > 1) * sides * gates.half_size
     points = gates.position + np.einsum("gs,gsi->gi", sides, gates.axes[:, 1:])
     points = points[np.concatenate([order[-1:], order])]
     if not problem.periodic:
@@ -108,7 +108,7 @@ def from_spline(problem: Problem, index: int = 0, intervals: int = INTERVALS) ->
     nodes = np.interp(legs, np.arange(len(times)), times)
     rotations = _attitudes(problem, curve(nodes, 1), curve(nodes, 2), index % 2 == 1)
     turned = (rotations[:-1].inv() * rotations[1:]).as_rotvec() / np.diff(nodes)[:, None]
-    fastest = np.minimum(FASTEST_RATES, 0.9 * problem.rate_limit)
+    fastest = np.minimum(MAX_RATES_RAD_S, 0.9 * problem.rate_limit)
     rates = np.clip(np.vstack([turned, turned[-1:]]), -fastest, fastest)
     motion = curve(nodes), curve(nodes, 1), rotations.as_euler("ZYX")[:, ::-1], rates
     states = problem.vectors(motion, np.tile(problem.start[ACTUATORS], (len(nodes), 1)))

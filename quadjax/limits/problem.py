@@ -20,16 +20,16 @@ from quadjax.core.quaternion import Quaternion
 from quadjax.core.traced import with_leaves
 from quadjax.race.environment import Race, without_training_limits
 from quadjax.race.episode import hover_start
-from quadjax.race.rules import BENEATH
+from quadjax.race.rules import TAKEOFF_DEPTH_M
 from quadjax.race.track import Track
 from quadjax.race.types import RaceParams, RaceState
 from quadjax.vehicle.protocol import State, VehicleModel
 
 POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
 ACTUATORS = slice(13, None)
-CENTERED = 0.02  # m from a center, within which a flight passes through it
-TIME_STEP = 1e-3  # s, for which a command is held in the verification
-SPEED = 60.0  # m/s, the limit of a drone without ``fitted_speed``
+CENTERED_M = 0.02  # from a center, within which a flight passes through it
+TIME_STEP_S = 1e-3  # for which a command is held in the verification
+DEFAULT_SPEED_M_S = 60.0  # the limit of a drone without ``fitted_speed``
 BELOW_RULE = 0.998  # of a limit of the race, at the nodes: between them a flight may exceed it
 Tree = TypeVar("Tree")
 
@@ -53,14 +53,14 @@ class Gates:
 
 
 @dataclasses.dataclass(frozen=True)
-class Flight:
+class FlightOptions:
     """What is flown, in place of a periodic lap."""
 
     gates: int | None = None  # of a flight from the start; None: a periodic lap, or ``laps``
     laps: int | None = None  # of a flight from the start
     stops: bool = False  # ends at rest in the center of the last gate
     clearance: float | None = 0.0  # m from the edges of the openings; None: through the centers
-    speed: float | None = None  # m/s, the limit; None: ``fitted_speed``, or ``SPEED``
+    speed: float | None = None  # m/s, the limit; None: ``fitted_speed``, or ``DEFAULT_SPEED_M_S``
     fitted_speed: float | None = None  # m/s, highest of the flights that the model is fitted to
 
 
@@ -74,7 +74,7 @@ class Problem:
 
     environment: Race  # with RK4; gates are passed where the path crosses their planes
     params: RaceParams  # without training limits, in float64, with steps of 1 ms
-    flight: Flight
+    flight: FlightOptions
     gates: Gates  # of the track, smaller by the radius of the drone
     order: np.ndarray  # (legs,) indices of the gates to pass
     periodic: bool
@@ -97,10 +97,10 @@ class Problem:
     def leeway(self, index: int, place: np.ndarray) -> float:
         """How far, m, a passage of a gate is inside what the clearance leaves; negative outside.
 
-        Through the centers, within ``CENTERED`` of the center.
+        Through the centers, within ``CENTERED_M`` of the center.
         """
         if self.flight.clearance is None:
-            return float(CENTERED - np.linalg.norm(place - self.gates.position[index]))
+            return float(CENTERED_M - np.linalg.norm(place - self.gates.position[index]))
         return self.gates.clearance(index, place) - self.flight.clearance
 
     @functools.cached_property
@@ -208,13 +208,15 @@ def gates_of(track: Track, radius: float = 0.0) -> Gates:
     return Gates(position, axes, half, circle)
 
 
-def make_problem(environment: Race, params: RaceParams, flight: Flight | None = None) -> Problem:
+def make_problem(
+    environment: Race, params: RaceParams, flight: FlightOptions | None = None
+) -> Problem:
     """The time-optimal flight of a race, a periodic lap by default; training limits are ignored.
 
     Raises:
         InputError: a rule that is not supported, or a gate that cannot be passed.
     """
-    flight = flight or Flight()
+    flight = flight or FlightOptions()
     if params.rules.gate_test == "world_box":
         raise InputError("rules.gate_test: world_box is not supported by time-optimal laps")
     if params.battery is not None:
@@ -225,7 +227,7 @@ def make_problem(environment: Race, params: RaceParams, flight: Flight | None = 
     if math.isfinite(model.pitch_limit):
         model = model.with_options(quaternion=True)
     environment = dataclasses.replace(environment, model=model, integrator="rk4")
-    rules = with_leaves(params.rules, time_step=np.float64(TIME_STEP), gate_test="interpolated")
+    rules = with_leaves(params.rules, time_step=np.float64(TIME_STEP_S), gate_test="interpolated")
     limits = with_leaves(params.training_limits, episode_steps=np.int32(10**9))
     params = params.replace(rules=rules, training_limits=limits)
     radius = 0.0 if rules.body_radius is None else float(rules.body_radius)
@@ -250,7 +252,9 @@ def make_problem(environment: Race, params: RaceParams, flight: Flight | None = 
         periodic=bool(params.track.closed and not (flight.gates or flight.laps or flight.stops)),
         bounds=_bounds(params, radius),
         rate_limit=BELOW_RULE * np.broadcast_to(np.asarray(rates, np.float64), 3),
-        speed_limit=min(flight.speed or flight.fitted_speed or SPEED, BELOW_RULE * fastest),
+        speed_limit=min(
+            flight.speed or flight.fitted_speed or DEFAULT_SPEED_M_S, BELOW_RULE * fastest
+        ),
         pitch_limit=float(jnp.radians(math.inf if limits.pitch_deg is None else limits.pitch_deg)),
         landing=None if ground is None else (float(rules.ground_height), float(ground)),
         frame_depth=rules.gate_frame and 0.5 * float(rules.gate_depth) + radius,
@@ -261,7 +265,7 @@ def _bounds(params: RaceParams, radius: float) -> np.ndarray:
     """Lowest and highest position (2, 3) of the drone's center, m."""
     rules = params.rules
     edge = math.inf if rules.position_limit is None else float(rules.position_limit)
-    ground = -radius if rules.ground_speed is None else BENEATH
+    ground = -radius if rules.ground_speed is None else TAKEOFF_DEPTH_M
     bounds = np.array([[-edge, -edge, -np.inf], [edge, edge, ground]])
     if rules.bounds is None:
         return bounds

@@ -16,7 +16,7 @@ from quadjax.flights import flight as recorded
 from quadjax.flights.files import load, save
 from quadjax.flights.flight import SIMULATED
 from quadjax.limits.guess import policy_lap
-from quadjax.limits.problem import TIME_STEP, Flight, Problem, make_problem
+from quadjax.limits.problem import TIME_STEP_S, FlightOptions, Problem, make_problem
 from quadjax.limits.search import MESH_CHANGE, BestKnown, NotFoundError, Search
 from quadjax.limits.trajectory import Trajectory
 
@@ -38,7 +38,7 @@ class Result:
                 f"the flight reaches the speed limit of {self.problem.speed_limit:g} m/s; the "
                 "vehicle model may not hold there"
             )
-        above = TIME_STEP * np.sum(np.linalg.norm(check.velocity, axis=1) > fitted)
+        above = TIME_STEP_S * np.sum(np.linalg.norm(check.velocity, axis=1) > fitted)
         if above > 0.0:
             notes.append(
                 f"for {above:.2f} s the flight is faster than {fitted:g} m/s, the highest speed of "
@@ -101,7 +101,7 @@ class Result:
 
 def best_known(
     config: Config,
-    flight: Flight | None = None,
+    flight: FlightOptions | None = None,
     *,
     policy: Path | str | None = None,
     guesses: Sequence[Path | str] = (),
@@ -129,7 +129,7 @@ def best_known(
     vehicle = config.vehicle.replace(mismatch={})
     steady = {"disturbance": Disturbance(), "randomization": Randomization(), "schedules": {}}
     config = config.replace(vehicle=vehicle, **steady)
-    flight = dataclasses.replace(flight or Flight(), fitted_speed=vehicle.fitted_speed)
+    flight = dataclasses.replace(flight or FlightOptions(), fitted_speed=vehicle.fitted_speed)
     problem = make_problem(*make_race(config), flight)
     trajectories = {str(path): read_guess(problem, path) for path in guesses}
     report("compiling")

@@ -7,24 +7,25 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from quadjax.limits.collocation import SMOOTHNESS, Dynamics, Settings, Solution, solve
+from quadjax.limits.collocation import SMOOTHNESS_S, Dynamics, Settings, Solution, solve
 from quadjax.limits.guess import from_spline
 from quadjax.limits.problem import BELOW_RULE, Problem
 from quadjax.limits.trajectory import Trajectory
 from quadjax.limits.verify import Check, verify
 
-FINEST, NODES = 80, 800  # intervals of a leg, and of all legs, at most
+MAX_LEG_INTERVALS, MAX_INTERVALS = 80, 800  # intervals of a leg, and of all legs, at most
 MESH_CHANGE = 1e-3  # relative change of the time below which the mesh is fine enough
-MARGIN = 1e-4  # m, first distance from the edges; more where the flight drifts
-WIDENINGS, WIDER = 4, 5e-4  # times that the margin is increased, and by how much at first, m
+FIRST_MARGIN_M = 1e-4  # first distance from the edges; more where the flight drifts
+WIDENINGS, FIRST_WIDENING_M = 4, 5e-4  # how often and how far the margin is increased at first
 RESERVE, FIRM_RESERVE = 0.002, 0.01  # of the commands, kept for the regulator of a rejected flight
-SMALL, LARGE = 0.01, 0.05  # m, misses that are removed before refinement, that need FIRM_RESERVE
+SMALL_MISS_M = 0.01  # above it, a miss is removed before refinement
+LARGE_MISS_M = 0.05  # a miss that needs FIRM_RESERVE
 LARGEST_EXCESS = 1.2  # of a body rate, up to which its limit is lowered
-SHARE = 0.4  # of the time that is left, for each of the stages
+STAGE_SHARE = 0.4  # of the time that is left, for each of the stages
 STAGES = (  # divisor of the mesh, smoothness in s, reserve of the commands
     (2, 1e-2, 0.02),
     (1, 1e-3, 0.005),
-    (1, SMOOTHNESS, 0.0),
+    (1, SMOOTHNESS_S, 0.0),
 )
 
 
@@ -122,8 +123,10 @@ class Search:
         """
         flight, used, warm, intervals = None, Settings(), False, guess.intervals
         for divisor, smoothness, reserve in STAGES:
-            seconds = SHARE * self._left()
-            settings = Settings(MARGIN, reserve, smoothness=smoothness, seconds=seconds, warm=warm)
+            seconds = STAGE_SHARE * self._left()
+            settings = Settings(
+                FIRST_MARGIN_M, reserve, smoothness=smoothness, seconds=seconds, warm=warm
+            )
             guess, warm, _ = self._solve(name, guess.resample(intervals // divisor), settings)
             if warm and divisor == 1:
                 flight, used = guess, settings
@@ -146,13 +149,15 @@ class Search:
         A small miss is removed on the first mesh already: finer ones take longer.
         """
         widenings, change = 0, np.inf
-        finest = min(FINEST, max(flight.intervals, NODES // len(flight.leg_times)))
+        finest = min(
+            MAX_LEG_INTERVALS, max(flight.intervals, MAX_INTERVALS // len(flight.leg_times))
+        )
         check = self._keep(name, flight, change)
         while self._left() > 0.0:
             fine, mesh = change <= MESH_CHANGE or 2 * flight.intervals > finest, flight
             if fine and not check.error:
                 return "verified"
-            if check.error and (fine or 0.0 < check.miss < SMALL):
+            if check.error and (fine or 0.0 < check.miss < SMALL_MISS_M):
                 if widenings == WIDENINGS:
                     break
                 settings = _wider(settings, check, widenings)
@@ -190,8 +195,8 @@ def _wider(settings: Settings, check: Check, widenings: int) -> Settings:
     excess = check.turning * BELOW_RULE  # of a body rate over its limit
     if 1.0 < excess < LARGEST_EXCESS:
         turning *= BELOW_RULE / excess
-    elif check.miss == 0.0 or check.miss > SMALL:
-        reserve = max(2.0 * reserve, RESERVE if check.miss < LARGE else FIRM_RESERVE)
+    elif check.miss == 0.0 or check.miss > SMALL_MISS_M:
+        reserve = max(2.0 * reserve, RESERVE if check.miss < LARGE_MISS_M else FIRM_RESERVE)
     if check.miss > 0.0:
-        margin += 1.2 * check.miss + WIDER * 4.0**widenings
+        margin += 1.2 * check.miss + FIRST_WIDENING_M * 4.0**widenings
     return dataclasses.replace(settings, margin=margin, reserve=reserve, turning=turning)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.integrators import rk4_loop_step
-from quadjax.limits.problem import ATTITUDE, POSITION, TIME_STEP, VELOCITY, Gates, Problem
+from quadjax.limits.problem import ATTITUDE, POSITION, TIME_STEP_S, VELOCITY, Gates, Problem
 from quadjax.limits.trajectory import Trajectory
 from quadjax.race.environment import Race
 from quadjax.race.rules import terminations_of
@@ -22,12 +22,13 @@ from quadjax.race.types import RaceParams, RaceState
 from quadjax.vehicle.protocol import State
 
 TIME_TOLERANCE = 0.005  # relative to the time of the solution
-STEPS = 1000  # the number of steps is a multiple: each number is compiled separately
-OVERRUN = 1.01  # the simulation is longer than the solution, to reach the last gate
+STEPS_MULTIPLE = 1000  # the number of steps is a multiple: each number is compiled separately
+OVERRUN_FACTOR = 1.01  # the simulation is longer than the solution, to reach the last gate
 AT_REST = 0.02, 0.05  # m from the center of the last gate, and m/s, at the end of a flight at rest
-MISSED = 0.05  # m, by which a rejected flight may miss a gate and continue, to measure all misses
-TOLERANCES = 0.03, 0.1, 0.03  # of the regulator: m, m/s, fraction of the largest value of others
-COMMAND = 0.1  # fraction of the range: tolerance of the commands
+MAX_MISS_M = 0.05  # by which a rejected flight may miss a gate and continue, to measure all misses
+# Of the regulator: m, m/s, and a fraction of the largest value of others.
+STATE_TOLERANCES = 0.03, 0.1, 0.03
+COMMAND_TOLERANCE = 0.1  # fraction of the range: tolerance of the commands
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,13 +63,15 @@ class Check:
 
 def verify(problem: Problem, trajectory: Trajectory) -> Check:
     """Fly the commands of a solution; if they are rejected, also corrected by a regulator."""
-    steps = STEPS * int(np.ceil(OVERRUN * trajectory.total / (STEPS * TIME_STEP)))
+    steps = STEPS_MULTIPLE * int(
+        np.ceil(OVERRUN_FACTOR * trajectory.total / (STEPS_MULTIPLE * TIME_STEP_S))
+    )
     states, commands = reference(problem, trajectory, steps)
     check = _check(problem, trajectory, commands, False)
     if not check.error:
         return check
-    weight = TOLERANCES[2] * np.maximum(np.abs(trajectory.states).max(axis=0), 0.1)
-    weight[POSITION], weight[VELOCITY] = TOLERANCES[:2]
+    weight = STATE_TOLERANCES[2] * np.maximum(np.abs(trajectory.states).max(axis=0), 0.1)
+    weight[POSITION], weight[VELOCITY] = STATE_TOLERANCES[:2]
     with jax.enable_x64(True):
         commands = np.asarray(_follow(problem, states, commands, weight))
     corrected = _check(problem, trajectory, commands, True)
@@ -83,12 +86,12 @@ def reference(
 
     Beyond the end: of a periodic flight its next round, of another one its last values.
     """
-    when, total, periodic = np.arange(steps + 1) * TIME_STEP, trajectory.total, problem.periodic
+    when, total, periodic = np.arange(steps + 1) * TIME_STEP_S, trajectory.total, problem.periodic
     over = (when >= total) & periodic
     states = trajectory.curve(problem)(np.minimum(np.where(over, when - total, when), total))
     if trajectory.states[0, ATTITUDE] @ trajectory.states[-1, ATTITUDE] < 0.0:
         states[over, ATTITUDE] *= -1.0
-    middle = when[:-1] + 0.5 * TIME_STEP
+    middle = when[:-1] + 0.5 * TIME_STEP_S
     middle = middle % total if periodic else np.minimum(middle, total)
     commands = [np.interp(middle, trajectory.times, column) for column in trajectory.commands.T]
     return states, np.stack(commands, axis=1)
@@ -151,13 +154,13 @@ def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedb
             np.asarray, _fly(problem.environment, problem.params, start, actions)
         )
     order = problem.order[: len(problem.order) - problem.flight.stops]
-    times, places = passages(problem.gates, order, position, TIME_STEP, MISSED)
+    times, places = passages(problem.gates, order, position, TIME_STEP_S, MAX_MISS_M)
     leeways = [problem.leeway(*pair) for pair in zip(order, places, strict=False)]
     if len(times) < len(order):
-        leeways.append(-MISSED)
+        leeways.append(-MAX_MISS_M)
     elif problem.flight.stops:
         times = np.append(times, trajectory.total)
-    end = 1 + min(int(np.ceil(times.max(initial=0.0) / TIME_STEP)), len(commands))
+    end = 1 + min(int(np.ceil(times.max(initial=0.0) / TIME_STEP_S)), len(commands))
     (lowest, highest), inside = problem.bounds, position[1:end]
     margin = np.concatenate([inside - lowest, highest - inside]).min(initial=np.inf)
     turning = float(np.max(np.abs(rates[:end]) / problem.rate_limit))
@@ -171,7 +174,7 @@ def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedb
     elif crashes[:end].any():
         step = int(np.argmax(crashes > 0))
         reason = list(terminations_of(problem.environment.user_rules))[crashes[step] - 1]
-        error = f"{reason} at {step * TIME_STEP:.3f} s"
+        error = f"{reason} at {step * TIME_STEP_S:.3f} s"
     elif problem.flight.stops:
         error = _at_rest(problem, path[-1], velocity[end - 1])
     if not error and abs(total - trajectory.total) > TIME_TOLERANCE * trajectory.total:
@@ -194,11 +197,12 @@ def _follow(
 ) -> jax.Array:
     """Commands (steps, commands) of a regulator that follows a reference, within their range."""
     low, high = problem.command_range
-    cost, effort = jnp.diag(1.0 / weight**2), COMMAND * np.where(high > low, high - low, 1.0)
+    cost = jnp.diag(1.0 / weight**2)
+    effort = COMMAND_TOLERANCE * np.where(high > low, high - low, 1.0)
     effort_cost = jnp.diag(1.0 / effort**2)
 
     def step(state: jax.Array, command: jax.Array) -> jax.Array:
-        after = rk4_loop_step(lambda x: problem.slope(x, command), state, TIME_STEP)
+        after = rk4_loop_step(lambda x: problem.slope(x, command), state, TIME_STEP_S)
         return problem.vector(problem.state(after).wrapped())
 
     slopes = jax.vmap(jax.jacfwd(step, argnums=(0, 1)))(states[:-1], commands)

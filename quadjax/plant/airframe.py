@@ -17,7 +17,7 @@ from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant.config import OUTPUTS, VARIABLES, AirframeConfig
 from quadjax.plant.indi import PITCH, ROLL, YAW, total
 
-RPM = 1.0e4  # unit of the propeller speeds
+RPM_UNIT = 1.0e4  # unit of the propeller speeds
 
 
 class Airframe(struct.PyTreeNode):
@@ -56,7 +56,7 @@ def airframe_force_moment(
     Of propeller speeds, rpm, velocity through the air, m/s, and rates, rad/s, body frame. A
     variable beyond its limits enters as at the limit.
     """
-    speeds = rpm * (0.25 / RPM)
+    speeds = rpm * (0.25 / RPM_UNIT)
     mean = speeds.w1 + speeds.w2 + speeds.w3 + speeds.w4
     differences = (total(signs, speeds) for signs in (ROLL, PITCH, YAW))
     along = jnp.sqrt(air_velocity.x**2 + air_velocity.y**2 + 1.0e-6)

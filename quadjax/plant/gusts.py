@@ -22,7 +22,7 @@ from quadjax.plant.config import GustsConfig
 
 SQRT3 = float(np.sqrt(3.0))
 METERS_PER_FOOT = 0.3048
-LEAST_AIRSPEED = 1.0  # m/s, of gusts past a hovering drone
+LEAST_AIRSPEED_M_S = 1.0  # of gusts past a hovering drone
 DRAWS = 3  # standard normal numbers per step
 START_DRAWS = 6
 
@@ -65,7 +65,7 @@ def update(
     The discretization is exact for white noise: ``a <- phi a + ..`` with ``phi = exp(-V dt / L)``
     keeps the variance at any step.
     """
-    speed = jnp.maximum(safe_norm(velocity), LEAST_AIRSPEED)
+    speed = jnp.maximum(safe_norm(velocity), LEAST_AIRSPEED_M_S)
     _, lengths = scales(gusts)
     first, second = [], []
     for axis in range(3):

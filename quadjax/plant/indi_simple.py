@@ -29,7 +29,7 @@ from quadjax.vehicle.motor import MotorConstants, hover_rpm
 from quadjax.vehicle.protocol import Measurement
 from quadjax.vehicle.rate import RateCommand
 
-UNITS = 9600.0  # of the autopilot
+COMMAND_UNITS = 9600.0  # of the autopilot
 MIX = (181.0 / 256.0, 181.0 / 256.0, 128.0 / 256.0)  # of roll, pitch and yaw in a motor's command
 
 
@@ -69,7 +69,7 @@ def nominal_effectiveness(
         Angular acceleration, rad/s^2, per unit of roll, pitch and yaw, and of a change of the yaw
         command in a sample; units of thrust per m/s^2.
     """
-    unit, hover = (rpm_max - float(c.rpm_min)) / UNITS, float(hover_rpm(c))  # rpm
+    unit, hover = (rpm_max - float(c.rpm_min)) / COMMAND_UNITS, float(hover_rpm(c))  # rpm
     roll, pitch, yaw = (4.0 * unit * factor for factor in MIX)
     turn = (
         2.0 * float(c.k_p) * hover * roll / float(c.i_xx),
@@ -103,7 +103,7 @@ def _settled(low_pass: LowPass, signal: Sample) -> tuple[Sample, Sample]:
 
 def init(params: SimpleParams, measurement: Measurement) -> SimpleState:
     """The loop before the first sample: commands, rates and thrust are steady."""
-    unit = (params.rpm_max - params.rpm_min) / UNITS
+    unit = (params.rpm_max - params.rpm_min) / COMMAND_UNITS
     motors = (measurement.actuators + -params.rpm_min) * (1.0 / unit)
     roll, pitch, yaw = (
         total(signs, motors) * (0.25 / factor)
@@ -150,7 +150,7 @@ def update(
     change = Rotors(
         wanted.x / roll, wanted.y / pitch, du_yaw, (command.thrust - thrust) * n.thrust_gain
     )
-    turn = jax.tree.map(lambda u: jnp.clip(u, -UNITS, UNITS), now + change)
+    turn = jax.tree.map(lambda u: jnp.clip(u, -COMMAND_UNITS, COMMAND_UNITS), now + change)
     following = turn.replace(w4=jnp.maximum(turn.w4, 0.0))
     parts = (actuators, *actuators_12, rates, *rates_12, thrust, *thrust_12)
     state = SimpleState(following, *parts, du_yaw)
@@ -160,13 +160,13 @@ def update(
 def mixed(params: SimpleParams, command: Rotors) -> Rotors:
     """Rpm commands of commands of roll, pitch, yaw and thrust, within the range of the motors."""
     roll, pitch, yaw = (u * f for u, f in zip(command.components(), MIX, strict=False))
-    low, high = Rotors.same(jnp.zeros_like(roll)), Rotors.same(jnp.full_like(roll, UNITS))
+    low, high = Rotors.same(jnp.zeros_like(roll)), Rotors.same(jnp.full_like(roll, COMMAND_UNITS))
     turn = Rotors(*(a * roll + b * pitch for a, b in zip(ROLL, PITCH, strict=True)))
     turn = turn * turn_scale(turn, low, high)
-    base = turn + jnp.clip(command.w4, highest(turn * -1.0), UNITS - highest(turn))
+    base = turn + jnp.clip(command.w4, highest(turn * -1.0), COMMAND_UNITS - highest(turn))
     added = Rotors(*(sign * yaw for sign in YAW))
     motors = base + added * added_scale(base, added, low, high)
-    unit = (params.rpm_max - params.rpm_min) / UNITS
+    unit = (params.rpm_max - params.rpm_min) / COMMAND_UNITS
     return jax.tree.map(
         lambda u: jnp.clip(params.rpm_min + u * unit, params.rpm_min, params.rpm_max), motors
     )

@@ -40,7 +40,7 @@ from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
 
 NOT_DRAWN = ("g", "rpm_min", "rpm_max")  # constants without deviation
-BEBOP, BEBOP_RADIUS = CONFIGS / "vehicles" / "bebop1.yaml", 0.07  # m
+BEBOP, BEBOP_RADIUS_M = CONFIGS / "vehicles" / "bebop1.yaml", 0.07  # m
 
 
 class PlantParams(struct.PyTreeNode):
@@ -105,7 +105,7 @@ def filled(config: PlantConfig) -> PlantConfig:
         raise InputError(f"{vehicle.path}: mass is missing; the plant needs it, in kg")
     assert bebop.mass is not None
     thrust = mass * vehicle.motor.k_w / (bebop.mass * bebop.motor.k_w)  # relative to the Bebop's
-    radius = config.rotors.radius or BEBOP_RADIUS * thrust**0.25
+    radius = config.rotors.radius or BEBOP_RADIUS_M * thrust**0.25
     motors = config.motors.replace(
         tau=config.motors.tau or float(vehicle.motor.tau),
         rpm_max=config.motors.rpm_max or float(vehicle.motor.rpm_max),

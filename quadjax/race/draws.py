@@ -9,13 +9,13 @@ from typing import Annotated, Any, Literal
 
 from quadjax.core.sections import ORDERED, Field, Section, Unit
 from quadjax.core.traced import register
-from quadjax.race.random_track import FARTHEST, RandomTracks
+from quadjax.race.random_track import MAX_COORDINATE_M, RandomTracks
 from quadjax.vehicle.protocol import VehicleModel
 
 HalfWidth = Annotated[float, Field(ge=0, le=1e6)]
 Moment = Annotated[float, Field(ge=-1e6, le=1e6)]
 Share = Annotated[float, Field(ge=0, le=0.9)]
-FROM_GROUND = 0.1  # default fraction of the episodes that begin on the ground, where races do
+GROUND_STARTS_FRACTION = 0.1  # of the episodes, by default, where races start there
 
 
 @register
@@ -50,7 +50,7 @@ class Start(Section):
         "track's start is on the ground, else 0",
     )
     position: Annotated[float, Unit("m")] = Field(
-        0.5, ge=0, le=FARTHEST, description="half-width about the point on the leg, m"
+        0.5, ge=0, le=MAX_COORDINATE_M, description="half-width about the point on the leg, m"
     )
     velocity: Annotated[HalfWidth, Unit("m/s")] = Field(
         0.5, description="half-width of each component, m/s"

@@ -31,8 +31,9 @@ if TYPE_CHECKING:
 
 # Streams of random numbers, folded into the key of a start; another number changes the draws. The
 # ``Draws`` of a start are of the key itself.
-ALONG_LEG, BATTERY, TRACK, RACE_START, AROUND_HOVER, DELAY = 1, 2, 3, 5, 6, 7
-AROUND_START, YAW_OF_START = 0.5, math.pi / 4.0  # half-widths of x and y, m, and of the yaw, rad
+ALONG_LEG_STREAM, BATTERY_STREAM, TRACK_STREAM = 1, 2, 3
+RACE_START_STREAM, AROUND_HOVER_STREAM, DELAY_STREAM = 5, 6, 7
+AROUND_START_M, AROUND_START_RAD = 0.5, math.pi / 4.0  # half-widths of x and y, and of the yaw
 
 
 Draws = dict[str, jax.Array]  # random numbers of one start, each in [-1, 1]; see ``draw_start``
@@ -64,7 +65,7 @@ def reset(environment: "Race", params: RaceParams, key: jax.Array) -> RaceState:
         if params.heading is not None:
             raise InputError("params.heading is set, allowed: None with params.tracks")
         count = params.tracks.yaw.shape[0]
-        index = jax.random.randint(jax.random.fold_in(key, TRACK), (), 0, count)
+        index = jax.random.randint(jax.random.fold_in(key, TRACK_STREAM), (), 0, count)
         track = jax.tree.map(lambda numbers: numbers[index], params.tracks)
         params = params.on_track(track)
     size = len(jax.tree.leaves(params.vehicle.constants)) if environment.randomize else 0
@@ -74,16 +75,18 @@ def reset(environment: "Race", params: RaceParams, key: jax.Array) -> RaceState:
     drone, target = _draw_drone(environment.model, params, of_drone, draws, key)
     battery, clock = None, jnp.zeros((), jnp.int32)
     if params.battery is not None:
-        battery = draw_battery(params.battery, drone.actuators, jax.random.fold_in(key, BATTERY))
+        battery = draw_battery(
+            params.battery, drone.actuators, jax.random.fold_in(key, BATTERY_STREAM)
+        )
     if ranges.stagger_clocks:
         steps = jnp.asarray(params.training_limits.episode_steps, draws["clock"].dtype)
         clock = (0.5 * (draws["clock"][0] + 1.0) * steps).astype(jnp.int32)
     state = _begin(environment, params, drone, target, constants, battery)
     if params.delay is not None:
-        late = jax.random.uniform(jax.random.fold_in(key, DELAY), minval=-1.0)
+        late = jax.random.uniform(jax.random.fold_in(key, DELAY_STREAM), minval=-1.0)
         state = state.replace(delay=between(*params.delay, late))
     if ranges.race is not None:
-        race_key, used_key = jax.random.split(jax.random.fold_in(key, RACE_START))
+        race_key, used_key = jax.random.split(jax.random.fold_in(key, RACE_START_STREAM))
         race = hover_start(environment, params, state, draw(race_key, 3))
         used = functools.partial(jnp.where, jax.random.uniform(used_key) < ranges.race)
         state = jax.tree.map(used, race, state)
@@ -130,7 +133,7 @@ def _draw_drone(
     if starts.gate == "random":
         target = start_gate(params.track, draws["gate"][0])
     if starts.along_leg is not None:
-        along = starts.along_leg * jax.random.uniform(jax.random.fold_in(key, ALONG_LEG))
+        along = starts.along_leg * jax.random.uniform(jax.random.fold_in(key, ALONG_LEG_STREAM))
     motion = _motion(params, target, along, draws)
     low, high = map(jnp.asarray, starts.thrust)
     state = model.start(of_drone, motion, draws["actuators"], (low, high))
@@ -208,8 +211,8 @@ def hover(model: VehicleModel, c: Constants, track: Track, moved: jax.Array | No
     """At rest and level at the track's start, or at the last gate, facing the first one.
 
     On the ground the actuators are at their lowest, elsewhere those of a hover. ``moved`` (3,) in
-    [-1, 1] moves x, y and the yaw by ``AROUND_START`` and ``YAW_OF_START``, as the ground starts
-    of MonoRace (arXiv 2601.15222); None: exactly there.
+    [-1, 1] moves x, y and the yaw by ``AROUND_START_M`` and ``AROUND_START_RAD``, as the ground
+    starts of MonoRace (arXiv 2601.15222); None: exactly there.
     """
     if track.start is not None:
         position, yaw = track.start.position, track.start.yaw
@@ -217,8 +220,8 @@ def hover(model: VehicleModel, c: Constants, track: Track, moved: jax.Array | No
         first, position = (jax.tree.map(lambda x, i=i: x[i], track.position) for i in (0, -1))
         yaw = jnp.arctan2(first.y - position.y, first.x - position.x)
     if moved is not None:
-        aside = Vec3(moved[0], moved[1], jnp.zeros_like(moved[2])) * AROUND_START
-        position, yaw = position + aside, yaw + YAW_OF_START * moved[2]
+        aside = Vec3(moved[0], moved[1], jnp.zeros_like(moved[2])) * AROUND_START_M
+        position, yaw = position + aside, yaw + AROUND_START_RAD * moved[2]
     motion = Motion(position, Vec3.zero(), Vec3.zero().replace(z=wrap_angle(yaw)), Vec3.zero())
     if track.start is None or not track.start.on_ground:
         return model.hover(c, motion)

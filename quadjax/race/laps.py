@@ -22,7 +22,7 @@ from quadjax.race.types import Outcome, RaceParams, RaceState
 
 Actor = Callable[[Any, jax.Array, jax.Array], jax.Array]  # (policy, observation, noise)
 OUT_OF_TIME = "out of time"
-SLOWEST_LAP, ITS_LENGTH = 8.0, 14.0  # s and m; longer laps have proportionally more time
+SLOWEST_LAP_S, SLOWEST_LAP_M = 8.0, 14.0  # longer laps have proportionally more time
 
 
 class LapState(struct.PyTreeNode):
@@ -70,7 +70,8 @@ def starting_states(
         start = episode.reset(environment, params, key)
         if not from_hover:
             return start.replace(step=jnp.zeros((), jnp.int32))
-        moved = episode.draw(jax.random.fold_in(key, episode.AROUND_HOVER), 3) if around else None
+        stream = jax.random.fold_in(key, episode.AROUND_HOVER_STREAM)
+        moved = episode.draw(stream, 3) if around else None
         return episode.hover_start(environment, params, start, moved)
 
     return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
@@ -252,7 +253,7 @@ def last_gate(track: Track, gates: int | None) -> int | None:
 
 def time_limit(track: Track, laps: float) -> float:
     """The time limit of a race of some laps, s."""
-    return laps * SLOWEST_LAP * max(1.0, lap_length(track) / ITS_LENGTH)
+    return laps * SLOWEST_LAP_S * max(1.0, lap_length(track) / SLOWEST_LAP_M)
 
 
 def step_limit(params: RaceParams, laps: float) -> int:

@@ -4,7 +4,7 @@ import numpy as np
 
 from quadjax.race.track import TrackSection
 
-OFF = 0.01  # cosine of the angle between a gate and a leg, beyond 90 deg, that counts as against
+AGAINST_COSINE = 0.01  # of the angle, beyond 90 deg, from which a leg is against a gate
 
 
 def legs_of(track: TrackSection) -> np.ndarray:
@@ -23,7 +23,8 @@ def against_legs(track: TrackSection) -> list[int]:
     if not track.closed:
         after[-1] = through[-1]
     off = [
-        (leg * through).sum(axis=1) < -OFF * np.linalg.norm(leg, axis=1) for leg in (legs, after)
+        (leg * through).sum(axis=1) < -AGAINST_COSINE * np.linalg.norm(leg, axis=1)
+        for leg in (legs, after)
     ]
     return [int(index) + 1 for index in np.flatnonzero(off[0] | off[1])]
 

@@ -23,7 +23,7 @@ from quadjax.vehicle.battery import LOWEST, highest_rpm
 from quadjax.vehicle.protocol import VehicleModel
 
 HIGHEST_RPM = "highest_rpm"
-AHEAD = range(2, 5)  # gates after the target that may be observed, with the next one
+GATES_AHEAD = range(2, 5)  # gates after the target that may be observed, with the next one
 
 # Values: functions of the step, whose state and gate are those that are observed.
 
@@ -178,7 +178,7 @@ def fields_of(
         field("next_yaw", 1, "rad", "gate", 4.0, _next_yaw),
         field("next_yaw_unwrapped", 1, "rad", "gate", 8.0, _next_yaw_unwrapped),
     ]
-    for count in AHEAD:
+    for count in GATES_AHEAD:
         place, yaw = bind(_position_beyond, count), bind(_yaw_beyond, count)
         table.append(field(f"next{count}_position", 3, "m", "gate", 16.0, place))
         table.append(field(f"next{count}_yaw", 1, "rad", "gate", 4.0, yaw))
@@ -198,7 +198,7 @@ def _conditions(
     model: VehicleModel, observed: Observation, battery: bool = False
 ) -> dict[str, bool]:
     """Whether a race observes a field, by name, of those that not every race observes."""
-    ahead = {f"next{count}": observed.gates_ahead >= count for count in AHEAD}
+    ahead = {f"next{count}": observed.gates_ahead >= count for count in GATES_AHEAD}
     return {
         "attitude": observed.attitude == "euler",
         "rotation": observed.attitude == "rotation",

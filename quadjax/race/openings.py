@@ -7,7 +7,7 @@ from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.track import Gate, to_opening_frame
 
-SHORT = 1e-9  # m, of a step; a shorter one is along a plane
+SHORTEST_STEP_M = 1e-9  # of a step; a shorter one is along a plane
 
 
 def inside_opening(relative: Vec3, g: Gate, inflation: Scalar) -> jax.Array:
@@ -61,7 +61,7 @@ def meets_opening(one: Vec3, other: Vec3, g: Gate, inflation: Scalar) -> jax.Arr
     if g.circle is None:
         return meets
     along = -(middle.y * half.y + middle.z * half.z)
-    along = along / jnp.maximum(half.y * half.y + half.z * half.z, SHORT**2)
+    along = along / jnp.maximum(half.y * half.y + half.z * half.z, SHORTEST_STEP_M**2)
     nearest = middle + half * along.clip(-1.0, 1.0)
     return jnp.where(g.circle, inside_opening(nearest, g, inflation), meets)
 
@@ -76,7 +76,7 @@ def touches_frame(
     """
     start = to_opening_frame(g, before - g.position)
     way = to_opening_frame(g, after - g.position) - start
-    through = jnp.where(jnp.abs(way.x) < SHORT, SHORT, way.x)
+    through = jnp.where(jnp.abs(way.x) < SHORTEST_STEP_M, SHORTEST_STEP_M, way.x)
     middle, half = -start.x / through, depth / jnp.abs(through)  # of the part within the depth
     first, last = jnp.maximum(middle - half, 0.0), jnp.minimum(middle + half, 1.0)
     ends = start + way * first, start + way * last

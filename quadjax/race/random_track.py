@@ -16,13 +16,13 @@ from quadjax.core.sections import ORDERED, Field, Section, model_validator
 from quadjax.core.yaml_files import Tree
 
 Length = Annotated[float, Field(gt=0, le=1000)]
-ATTEMPTS, ROUNDS = 40, 600
-FAR = 1e6  # m, no largest distance
-FARTHEST = 1e4  # m from the origin: positions are float32, whose step is 1 mm there
-SLACK = 0.03  # m and fraction by which drawn values are inside the allowed ones
-DEPTH = 0.2  # m, room for the depth of two frames
-ACROSS = 85.0  # deg, largest angle between a leg and the direction of its gate
-MARGIN = 5.0  # m from the outermost gate to the position limit
+MAX_ATTEMPTS, MAX_ROUNDS = 40, 600
+UNBOUNDED_M = 1e6  # no largest distance
+MAX_COORDINATE_M = 1e4  # from the origin: positions are float32, whose step is 1 mm there
+DRAW_MARGIN = 0.03  # m and fraction by which drawn values are inside the allowed ones
+FRAMES_DEPTH_M = 0.2  # room for the depth of two frames
+MAX_LEG_ANGLE_DEG = 85.0  # largest angle between a leg and the direction of its gate
+LIMIT_MARGIN_M = 5.0  # from the outermost gate to the position limit
 
 
 class RandomTrack(Section):
@@ -48,7 +48,7 @@ class RandomTrack(Section):
         ge=0,
         le=80,
         description="largest angle between a gate and the mean of the directions to and from it; "
-        f"both directions stay within {ACROSS:g} deg of the gate's",
+        f"both directions stay within {MAX_LEG_ANGLE_DEG:g} deg of the gate's",
     )
     height: Annotated[tuple[Length, Length], ORDERED] = Field(
         (1.2, 2.5), description="lowest and highest center of a gate above ground, m"
@@ -73,10 +73,10 @@ class RandomTrack(Section):
                 f"height is {list(self.height)}, allowed: at least {0.5 * outer[1]:g}, half of the "
                 "height of a gate with its frame"
             )
-        if self.leg[1] < outer[0] + DEPTH:
+        if self.leg[1] < outer[0] + FRAMES_DEPTH_M:
             raise ValueError(
-                f"leg is {list(self.leg)}, allowed: a longest of at least {outer[0] + DEPTH:g}, the"
-                " width of a gate with its frame"
+                f"leg is {list(self.leg)}, allowed: a longest of at least "
+                f"{outer[0] + FRAMES_DEPTH_M:g}, the width of a gate with its frame"
             )
         return self
 
@@ -100,19 +100,19 @@ def generate(track: RandomTrack) -> Tree:
     The center of the track is at the origin, and ``rules.position_limit`` has room around it.
 
     Raises:
-        InputError: no track found with these settings, or one beyond ``FARTHEST``.
+        InputError: no track found with these settings, or one beyond ``MAX_COORDINATE_M``.
     """
     rng = np.random.default_rng(track.seed)
-    for _ in range(ATTEMPTS):
+    for _ in range(MAX_ATTEMPTS):
         rng.integers(track.gates)  # unused; without it a seed would have another track
         places = np.round(_solve(rng, track), 2)
         if _allowed(track, places):
             gates = _gates(rng, track, places)
-            limit = float(np.ceil(np.abs(places).max() + MARGIN))
-            if limit > FARTHEST:
+            limit = float(np.ceil(np.abs(places).max() + LIMIT_MARGIN_M))
+            if limit > MAX_COORDINATE_M:
                 raise InputError(
                     f"gates {track.gates} and leg {list(track.leg)} need a position_limit of "
-                    f"{limit:g} m, allowed: at most {FARTHEST:g}"
+                    f"{limit:g} m, allowed: at most {MAX_COORDINATE_M:g}"
                 )
             return {"gates": gates, "rules": {"position_limit": limit}}
     raise InputError(
@@ -129,19 +129,19 @@ def _solve(rng: np.random.Generator, track: RandomTrack) -> np.ndarray:
     if track.leg_ratio is not None and long > track.leg_ratio * shortest:
         shortest *= (long / track.leg_ratio / shortest) ** rng.uniform()
         long = track.leg_ratio * shortest
-    inside = min(SLACK, 0.25 * (long - shortest))
+    inside = min(DRAW_MARGIN, 0.25 * (long - shortest))
     legs = rng.uniform(shortest + inside, max(long - inside, shortest + inside), count)
     turns = rng.uniform(-track.turn_deg, track.turn_deg, count)
     heading = np.radians(np.cumsum(turns))
     steps = legs[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     places = np.cumsum(steps - steps.mean(axis=0), axis=0)
     low, high = _distances(track, legs)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         apart = places[:, None] - places[None]
         distance = np.sqrt((apart**2).sum(axis=2)) + 1e-9
         wrong = np.clip(distance, low, high) - distance
         np.fill_diagonal(wrong, 0.0)
-        if np.abs(wrong).max() < 0.1 * SLACK:
+        if np.abs(wrong).max() < 0.1 * DRAW_MARGIN:
             break
         active = np.maximum((np.abs(wrong) > 1e-9).sum(axis=1), 1)
         moves = (0.5 * wrong / distance)[..., None] * apart
@@ -151,13 +151,14 @@ def _solve(rng: np.random.Generator, track: RandomTrack) -> np.ndarray:
 
 def _room(track: RandomTrack) -> float:
     """Distance of two gates whose frames cannot touch in any direction, m."""
-    return track.size[0] + 2.0 * track.frame + DEPTH
+    return track.size[0] + 2.0 * track.frame + FRAMES_DEPTH_M
 
 
 def _distances(track: RandomTrack, legs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest distance (n, n) of each two places, m; ``legs`` lead to each place."""
-    count, turn = len(legs), math.radians(track.turn_deg) * (1.0 - SLACK)
-    low, high = np.full((count, count), _room(track) + SLACK), np.full((count, count), FAR)
+    count, turn = len(legs), math.radians(track.turn_deg) * (1.0 - DRAW_MARGIN)
+    low = np.full((count, count), _room(track) + DRAW_MARGIN)
+    high = np.full((count, count), UNBOUNDED_M)
     for index in range(count):
         before, after = index - 1, (index + 1) % count
         come, go = legs[index], legs[after]
@@ -197,7 +198,9 @@ def _gates(rng: np.random.Generator, track: RandomTrack, places: np.ndarray) -> 
     for (x, y), yaw, bend in zip(places, heading + 0.5 * turn, turn, strict=True):
         height = rng.uniform(*track.height)
         if track.yaw_deg:
-            largest = min(track.yaw_deg, max(0.0, ACROSS - abs(math.degrees(0.5 * bend))))
+            largest = min(
+                track.yaw_deg, max(0.0, MAX_LEG_ANGLE_DEG - abs(math.degrees(0.5 * bend)))
+            )
             yaw += math.radians(rng.uniform(-largest, largest))
         angle = (math.degrees(yaw) + 180.0) % 360.0 - 180.0
         gates.append(

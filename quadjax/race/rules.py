@@ -14,13 +14,13 @@ from quadjax.core.sections import Code, Field, Needs, Section, Unit
 from quadjax.core.traced import register
 from quadjax.core.vectors import safe_norm
 from quadjax.race.openings import crossing, touches_frame
-from quadjax.race.random_track import FARTHEST
+from quadjax.race.random_track import MAX_COORDINATE_M
 from quadjax.race.track import Span, gate, gate_count
 from quadjax.race.types import Outcome, Step, UserFunctions
 from quadjax.vehicle.protocol import VehicleModel
 
 Rate = Annotated[float, Field(gt=0, le=1e6)]
-BENEATH = 0.5  # m, deepest position of a take-off: the ground itself is not simulated
+TAKEOFF_DEPTH_M = 0.5  # deepest position of a take-off: the ground itself is not simulated
 
 
 @register
@@ -44,7 +44,7 @@ class Rules(Section):
         "null: the drone is a point",
     )
     position_limit: float | None = Field(
-        10.0, gt=0, le=FARTHEST, description="largest |x| and |y|, m; null: none"
+        10.0, gt=0, le=MAX_COORDINATE_M, description="largest |x| and |y|, m; null: none"
     )
     bounds: tuple[Span, Span, Span] | None = Field(
         None,
@@ -150,7 +150,7 @@ def hits_the_ground(step: Step) -> jax.Array:
     if rules.ground_speed is None:
         return down > 0.0 - step.body_radius  # 0.0 without a radius, not -0.0
     fast = (down > -rules.ground_height) & (safe_norm(step.velocity) > rules.ground_speed)
-    return fast | (down > BENEATH)
+    return fast | (down > TAKEOFF_DEPTH_M)
 
 
 def exceeds(*pairs: tuple[jax.Array, Scalar | None]) -> jax.Array | None:

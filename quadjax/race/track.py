@@ -15,13 +15,13 @@ from quadjax.core.materialize import materialized
 from quadjax.core.sections import ORDERED, Field, Section, refuse
 from quadjax.core.trigonometry import sincos
 from quadjax.core.vectors import Vec3
-from quadjax.race.random_track import FARTHEST, RandomTrack, RandomTracks, generate
+from quadjax.race.random_track import MAX_COORDINATE_M, RandomTrack, RandomTracks, generate
 
-Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
+Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
 Span = Annotated[tuple[Coordinate, Coordinate], ORDERED]
-AHEAD = 5.0  # m, from the last gate of a course to the gate that is observed after it
-TURN = np.float32(2.0 * np.pi)  # rad
-STRAIGHT = 0.2  # below this sum of the sines of the turns at a leg's ends, the leg is straight
+STRAIGHT_AHEAD_M = 5.0  # from the last gate of a course to the gate that is observed after it
+FULL_TURN_RAD = np.float32(2.0 * np.pi)
+STRAIGHT_SINE_SUM = 0.2  # of the turns at a leg's ends, below which it is straight
 
 
 class GateSection(Section):
@@ -153,7 +153,7 @@ def make_track(section: TrackSection) -> Track:
     """The arrays of a track of a config.
 
     Where the last gate is not followed by the first, the observed gate after it is straight ahead,
-    ``AHEAD`` m, in the same direction.
+    ``STRAIGHT_AHEAD_M``, in the same direction.
     """
     gates, closed = section.gates, section.closed
     position = np.array([g.position for g in gates], np.float32)
@@ -167,7 +167,8 @@ def make_track(section: TrackSection) -> Track:
     to_next = np.roll(position, -1, axis=0) - position
     next_yaw = np.roll(yaw, -1) - yaw
     if not closed:
-        to_next[-1], next_yaw[-1] = AHEAD * np.array([cosine[-1], sine[-1], 0.0], np.float32), 0.0
+        ahead = np.array([cosine[-1], sine[-1], 0.0], np.float32)
+        to_next[-1], next_yaw[-1] = STRAIGHT_AHEAD_M * ahead, 0.0
     x, y, z = to_next.T
     start = None
     if section.start is not None:
@@ -182,7 +183,7 @@ def make_track(section: TrackSection) -> Track:
         "half_width": np.float32(0.5) * size[:, 0],
         "half_height": np.float32(0.5) * size[:, 1],
         "next_position": Vec3(cosine * x + sine * y, -sine * x + cosine * y, z),
-        "next_yaw": next_yaw - TURN * np.rint(next_yaw / TURN),
+        "next_yaw": next_yaw - FULL_TURN_RAD * np.rint(next_yaw / FULL_TURN_RAD),
         "circle": circle if circle.any() else None,
     }
     attitude = Attitude(*itertools.chain(*tilted)) if tilted else None
@@ -232,7 +233,7 @@ def gate(track: Track, index: jax.Array | int) -> Gate:
 def gates_ahead(track: Track, count: int) -> tuple[Vec3, jax.Array]:
     """The pose of the gate that is ``count`` gates after each gate, in that gate's frame.
 
-    On a course, the gates after the last one are straight ahead, ``AHEAD`` m from each other.
+    On a course, the gates after the last one are straight ahead, ``STRAIGHT_AHEAD_M`` apart.
 
     Returns:
         Position of (gates,), m, and relative yaw (gates,), rad, in [-pi, pi].
@@ -272,7 +273,7 @@ def inside_turn(track: Track) -> jax.Array:
     turn = jnp.roll(way, -1, axis=0) - jnp.roll(way, 1, axis=0)
     right = jnp.stack([-way[:, 1], way[:, 0]], axis=-1)
     bend = jnp.sum(right * turn, axis=-1, keepdims=True)  # to the right, if positive
-    look = jnp.where(jnp.abs(bend) < STRAIGHT, way, jnp.sign(bend) * right)
+    look = jnp.where(jnp.abs(bend) < STRAIGHT_SINE_SUM, way, jnp.sign(bend) * right)
     return jnp.arctan2(look[:, 1], look[:, 0])
 
 

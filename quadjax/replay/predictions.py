@@ -17,9 +17,9 @@ from quadjax.replay.log_states import states_of
 from quadjax.vehicle.protocol import Motion, State, VehicleModel, VehicleParams
 from quadjax.vehicle.racing import RacingConstants, command_of
 
-HORIZONS = (0.1, 0.2, 0.5, 1.0)  # s, of predictions
-STRIDE = 0.1  # s, between the starts of windows
-SMOOTH = 16.0  # Hz, of the speeds' derivative
+HORIZONS_S = (0.1, 0.2, 0.5, 1.0)  # of predictions
+STRIDE_S = 0.1  # between the starts of windows
+SMOOTH_HZ = 16.0  # of the speeds' derivative
 Arrays = dict[str, np.ndarray]
 
 
@@ -36,12 +36,12 @@ def predict(
     """
     step, drive = flight.step, drive or ("commands" if "command" in flight.signals else "speeds")
     commands = _driving_commands(flight, model, params, drive)
-    steps = np.array([1, *(max(1, round(horizon / step)) for horizon in HORIZONS)])
-    starts = np.arange(0, len(flight.time) - steps[-1], max(1, round(STRIDE / step)))
+    steps = np.array([1, *(max(1, round(horizon / step)) for horizon in HORIZONS_S)])
+    starts = np.arange(0, len(flight.time) - steps[-1], max(1, round(STRIDE_S / step)))
     if not len(starts):
         raise InputError(
             f"{flight.source['path']}: {flight.time[-1]:.3g} s of flight, expected more than "
-            f"{HORIZONS[-1]:g} s (the longest horizon)"
+            f"{HORIZONS_S[-1]:g} s (the longest horizon)"
         )
     sizes = {"position": 3, "velocity": 3, "euler": 3, "rates": 3}
     sizes[model.actuators.name] = model.actuators.size
@@ -118,7 +118,7 @@ def _driving_commands(
     if drive == "commands":
         raise InputError(f"{path}: no commands of the model {model.name} ({names})")
     speed, rate, constants = flight["actuators"], 1.0 / flight.step, params.constants
-    change = derivative(low_pass(speed, rate, min(SMOOTH, 0.2 * rate)), rate)
+    change = derivative(low_pass(speed, rate, min(SMOOTH_HZ, 0.2 * rate)), rate)
     steady = speed + float(constants.tau) * change
     if not isinstance(constants, RacingConstants):
         return steady

@@ -26,7 +26,7 @@ from quadjax.export.race_source import PolicyRace
 from quadjax.export.race_tables import LAST_COMMAND, state_sizes
 from quadjax.export.states import observe
 from quadjax.flights.flight import Flight
-from quadjax.flights.gates import REACH
+from quadjax.flights.gates import MEASURED_MARGIN_M
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import command_ranges
 from quadjax.race.track import TrackSection
@@ -75,7 +75,7 @@ def replay(
 
     def flight_of(model: VehicleModel, params: VehicleParams) -> Flight:
         flight = vehicle_flight(log, model, params)
-        return flight.with_passages(track.gates, REACH, track.closed)
+        return flight.with_passages(track.gates, MEASURED_MARGIN_M, track.closed)
 
     model, params, commands = make_environment(drone).model, make_params(drone).vehicle, None
     flight, gates = flight_of(model, params), track.gates

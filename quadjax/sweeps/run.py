@@ -37,8 +37,8 @@ from quadjax.sweeps.study import (
 from quadjax.sweeps.sweep import Params, Sweep
 from quadjax.sweeps.workers import LocalWorkers, RayWorkers
 
-POLL_SECONDS = 0.2
-SILENT = 10.0  # s after which the running trials are printed
+POLL_S = 0.2
+PRINT_AFTER_S = 10.0  # after which the running trials are printed
 REPORTS = 10  # to the pruner in each training
 FLIGHT_SEED = 1
 Enough = Callable[[float, float], bool]  # (fraction of the training, lap time): whether to stop
@@ -186,7 +186,7 @@ def run_sweep(
         while (over := len(trials_over(study))) < sweep.trials or running:
             elapsed, interrupted = time.monotonic() - started, stop.is_set()
             ends = interrupted or elapsed > seconds
-            if over == printed and time.monotonic() - spoken > SILENT and running:
+            if over == printed and time.monotonic() - spoken > PRINT_AFTER_S and running:
                 spoken, now = time.monotonic(), training(study, sweep)
                 print(f"{sweep.file.name}: {now}", file=sys.stderr, flush=True)
             if over != printed:
@@ -214,5 +214,5 @@ def run_sweep(
             if not running and journal:
                 retry_running(study, retries)
             optuna.storages.fail_stale_trials(study)  # of other machines, in a database
-            time.sleep(POLL_SECONDS)
+            time.sleep(POLL_S)
     return not stop.is_set()

@@ -30,11 +30,11 @@ from quadjax.sweeps.schema import JOURNAL
 from quadjax.sweeps.sweep import Sweep
 
 FILE = "study.journal"
-SLOTS = 4099  # workers, at most
-CREATION, WAIT = 2.0, 0.25  # s, of a database by another process, and between two tries to open it
+MAX_WORKERS = 4099  # of one study
+CREATION_S, WAIT_S = 2.0, 0.25  # of a database by another process; between tries to open it
 CREATED = re.compile("(?i)already exists|unique|duplicate|locked")  # by another process just now
 BEYOND = "beyond"  # user attribute of a trial that no budget permits, which another worker used up
-HEARTBEAT, GRACE = 15, 60  # s, in a database: a trial without one for GRACE counts as dead
+HEARTBEAT_S, GRACE_S = 15, 60  # in a database: a trial without one for GRACE_S counts as dead
 State = optuna.trial.TrialState
 OVER = (State.COMPLETE, State.PRUNED, State.FAIL)
 Retry = optuna.storages.RetryHeartbeatStaleTrialCallback  # queues a failed trial again
@@ -66,7 +66,7 @@ def open_study(sweep: Sweep, directory: Path, slot: int | None = None) -> optuna
             load_if_exists=True,
         )
         if slot is not None:  # another seed for each worker, and after each resumption
-            seed = search.seed + slot + SLOTS * len(study.get_trials(deepcopy=False))
+            seed = search.seed + slot + MAX_WORKERS * len(study.get_trials(deepcopy=False))
             if sweep.file.storage != JOURNAL:  # other machines may begin at the same time
                 seed += zlib.crc32(socket.gethostname().encode()) % 2**30
             if search.method == "tpe":  # constant_liar keeps concurrent trials apart
@@ -123,21 +123,21 @@ def _storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
     """The storage; a database that another process creates at the same time is tried again."""
     if sweep.file.storage == JOURNAL:
         return optuna.storages.JournalStorage(JournalFileBackend(str(directory / FILE)))
-    retries, until = sweep.file.executor.retries, time.monotonic() + CREATION
+    retries, until = sweep.file.executor.retries, time.monotonic() + CREATION_S
     while True:
         try:
             return optuna.storages.RDBStorage(
                 sweep.file.storage,
                 engine_kwargs={"pool_pre_ping": True},
-                heartbeat_interval=HEARTBEAT,
-                grace_period=GRACE,
+                heartbeat_interval=HEARTBEAT_S,
+                grace_period=GRACE_S,
                 heartbeat_stale_trial_callback=lambda study, trial: retry(study, trial, retries),
             )
         except (SQLAlchemyError, optuna.exceptions.StorageInternalError) as error:
             created = CREATED.search(f"{error} {error.__cause__}")
             if not created or time.monotonic() > until:
                 raise
-            time.sleep(WAIT)
+            time.sleep(WAIT_S)
 
 
 def drop_partial_line(directory: Path) -> None:

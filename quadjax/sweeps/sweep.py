@@ -29,8 +29,8 @@ from quadjax.sweeps.schema import (
     stored,
 )
 
-TRIALS = 20  # of a sweep without a budget
-COMBINATIONS = 64  # of the space's ends that are all checked
+DEFAULT_TRIALS = 20  # of a sweep without a budget
+MAX_COMBINATIONS = 64  # of the space's ends that are all checked
 SET_BY_SWEEP = ("name", "seed", "run.devices", "run.tensorboard")
 RACE = ("vehicle", "track", "rules", "randomization", "disturbance", "start", "evaluate")
 Params = dict[str, Value]
@@ -81,10 +81,10 @@ class Sweep:
 
     @property
     def trials(self) -> int:
-        """The budget; by default the size of the grid, or ``TRIALS``."""
+        """The budget; by default the size of the grid, or ``DEFAULT_TRIALS``."""
         budget = self.file.budget.trials
         if self.file.search.method != "grid":
-            return budget or TRIALS
+            return budget or DEFAULT_TRIALS
         points, limit = math.prod(map(len, self.grid().values())), budget or MAX_TRIALS
         if points > limit:
             raise InputError(f"the grid has {points} points, allowed by budget.trials: {limit}")
@@ -101,7 +101,7 @@ class Sweep:
             for key, d in self.space.items()
         }
         tried: list[Params] = [{key: x} for key, values in ends.items() for x in values]
-        if math.prod(map(len, ends.values())) <= COMBINATIONS:
+        if math.prod(map(len, ends.values())) <= MAX_COMBINATIONS:
             tried = [dict(zip(ends, x, strict=True)) for x in itertools.product(*ends.values())]
         for params in tried:
             with prefixed("space: " + ", ".join(override(*item) for item in params.items())):

@@ -18,7 +18,7 @@ from quadjax.core.errors import InputError
 from quadjax.sweeps.schema import Executor
 
 SPAWN = multiprocessing.get_context("spawn")  # JAX does not support fork
-MEMORY = 0.9  # fraction of a GPU's memory that its trials share
+MEMORY_FRACTION = 0.9  # fraction of a GPU's memory that its trials share
 
 
 class LocalWorkers:
@@ -98,7 +98,9 @@ def _call(gpus: str, share: float, function: Callable[..., None], *arguments: An
     if gpus:
         os.environ["CUDA_VISIBLE_DEVICES"] = gpus
         if share < 1:  # JAX allocates three quarters of a GPU's memory by default
-            os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", f"{MEMORY * share:.3f}")
+            os.environ.setdefault(
+                "XLA_PYTHON_CLIENT_MEM_FRACTION", f"{MEMORY_FRACTION * share:.3f}"
+            )
     else:
         jax.config.update("jax_platforms", "cpu")
     function(*arguments)

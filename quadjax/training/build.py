@@ -30,7 +30,7 @@ from quadjax.race.types import RaceParams, RaceState
 from quadjax.vehicle.registry import base_model
 from quadjax.vehicle.residual import is_shipped, read_residual
 
-REFERENCE_LEG, REFERENCE_TIME = 3.5, 0.43  # m and s, of the paper's track and the Bebop 1
+REFERENCE_LEG_M, REFERENCE_TIME_S = 3.5, 0.43  # m and s, of the paper's track and the Bebop 1
 
 
 def training_environment(config: Config) -> Environment[RaceParams, RaceState]:
@@ -66,7 +66,7 @@ def input_scale(config: Config) -> tuple[float, ...]:
     if not config.network.normalize:
         return ()
     scales = race_scales(config.track, config.vehicle, config.rules.time_step)
-    length, time = scales.leg / REFERENCE_LEG, scales.time / REFERENCE_TIME
+    length, time = scales.leg / REFERENCE_LEG_M, scales.time / REFERENCE_TIME_S
     factors = {"m": 1.0 / length, "m/s": time / length, "rad/s": time}
     return tuple(
         factors.get(field.unit, 1.0) if field.scale is None else 1.0

@@ -9,15 +9,16 @@ from quadjax.core.resources import policy_file
 from quadjax.learners.schedules import Schedule
 from quadjax.policy.file import Policy
 
-FIRST_RATE = 0.3  # of the config's learning rates, at the start
+FIRST_RATE_FACTOR = 0.3  # of the config's learning rates, at the start
 RATES = ("learning_rate", "critic_learning_rate")
 
 
 def fine_tuning(config: Config, policy: Path | str) -> Config:
     """The config of a training that continues from a policy file, and from its critic.
 
-    Each scheduled number has its last value. The learning rates start at ``FIRST_RATE`` of the
-    config's and end at zero. ``train`` runs the config, as ``quadjax train --fine-tune`` does.
+    Each scheduled number has its last value. The learning rates start at ``FIRST_RATE_FACTOR``
+    of the config's and end at zero. ``train`` runs the config, as ``quadjax train --fine-tune``
+    does.
 
     Args:
         config: the race in which the policy is to fly.
@@ -36,7 +37,7 @@ def fine_tuning(config: Config, policy: Path | str) -> Config:
         )
     last = with_scheduled_values(config)
     rates = [name for name in RATES if name in type(config.learner).model_fields]
-    first = {name: FIRST_RATE * getattr(config.learner, name) for name in rates}
+    first = {name: FIRST_RATE_FACTOR * getattr(config.learner, name) for name in rates}
     return last.replace(
         learner=last.learner.replace(**first),
         schedules={f"learner.{name}": Schedule(linear=("value", 0.0)) for name in rates},

@@ -13,7 +13,9 @@ from quadjax.training.result import is_finished
 from quadjax.vehicle.residual import is_shipped
 
 KIND = "training"
-FREE = ("run.devices", "run.checkpoint_seconds", "run.tensorboard", "run.compilation_cache")
+RESUMABLE_KEYS = tuple(
+    f"run.{key}" for key in ("devices", "checkpoint_seconds", "tensorboard", "compilation_cache")
+)
 INPUTS = {  # files of a config, and their copies in the run's folder
     "vehicle.residual": "inputs/residual.npz",
     "run.initial_policy": "inputs/initial_policy.npz",
@@ -100,7 +102,7 @@ def _with_inputs(config: Config, contents: dict[str, bytes], folder: Path = Path
 def check_same(config: Config, folder: Path) -> None:
     """Raise an ``InputError`` that names the key in which the folder's run differs.
 
-    Keys that change no number (``FREE``) may differ.
+    Keys that change no number (``RESUMABLE_KEYS``) may differ.
     """
     path = folder / "config.yaml"
     if not path.exists() or kind_of(folder) not in (None, KIND):
@@ -112,7 +114,7 @@ def check_same(config: Config, folder: Path) -> None:
         for one in (saved, _with_inputs(config, contents, folder))
     )
     for key in [*now, *before]:
-        if key not in FREE and before.get(key) != now.get(key):
+        if key not in RESUMABLE_KEYS and before.get(key) != now.get(key):
             raise InputError(
                 f"{path} has {key}: {before.get(key)}, the new config {key}: {now.get(key)}: use "
                 f"the same config, {REPLACE}"

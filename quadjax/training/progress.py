@@ -11,7 +11,7 @@ from rich.table import Column
 
 from quadjax.learners.loop import Row
 
-LOG_SECONDS = 10.0  # between lines where there is no terminal
+LOG_EVERY_S = 10.0  # between lines where there is no terminal
 MAX_WIDTH = 100  # columns of the training's line
 MAX_NAME = 16  # letters of the run's name in it
 
@@ -67,7 +67,7 @@ class TrainingProgress:
         status = f"compiling, {now - self._began:.0f} s"
         if self._console.is_terminal:
             self._bar.update(self._task, status=status)
-        elif now - max(self._began, self._logged) >= LOG_SECONDS:
+        elif now - max(self._began, self._logged) >= LOG_EVERY_S:
             self._logged = now
             self.note(f"{self._name}: {status}")
 
@@ -76,7 +76,7 @@ class TrainingProgress:
         status, now = describe(row, self._length), time.monotonic()
         if self._console.is_terminal:
             self._bar.update(self._task, completed=row["steps"], status=status)
-        elif now - self._logged >= LOG_SECONDS or row["steps"] >= self._total:
+        elif now - self._logged >= LOG_EVERY_S or row["steps"] >= self._total:
             self._logged = now
             left = max((self._total - row["steps"]) / row["steps_per_second"], 0.0)
             done = f"{100.0 * row['steps'] / self._total:3.0f}%"

@@ -42,8 +42,8 @@ from quadjax.training.score import FEW_STEPS, gap, make_flights, no_lap
 from quadjax.vehicle.registry import base_model
 from quadjax.vehicle.summary import summarize
 
-PATIENCE = 5.0  # s to wait for a compilation after Ctrl-C before the run ends without saving
-POLL = 0.2  # s
+PATIENCE_S = 5.0  # to wait for a compilation after Ctrl-C before the run ends without saving
+POLL_S = 0.2
 ADVISE_AFTER = 1 / 3  # of a run in which no lap is completed
 
 
@@ -239,15 +239,15 @@ def _wait_for(
     futures: Sequence[Future], stop: threading.Event, display: TrainingProgress | None
 ) -> None:
     """Wait until all are done, or one has failed; ``KeyboardInterrupt`` if ``stop`` is set."""
-    left = PATIENCE
+    left = PATIENCE_S
     while True:
-        done, running = wait(futures, POLL, FIRST_EXCEPTION)
+        done, running = wait(futures, POLL_S, FIRST_EXCEPTION)
         for future in done:
             future.result()
         if not running:
             return
         if display is not None:
             display.compiling()
-        left -= POLL * stop.is_set()
+        left -= POLL_S * stop.is_set()
         if left < 0:
             raise KeyboardInterrupt

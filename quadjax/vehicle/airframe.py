@@ -8,10 +8,10 @@ from typing import Annotated, Self
 
 from quadjax.core.sections import Field, Section, Unit, model_validator
 
-GRAVITY = 9.81  # m/s^2
-AIR = 1.225  # kg/m^3
+GRAVITY_M_S2 = 9.81
+AIR_DENSITY = 1.225  # kg/m^3
 Moment = Annotated[float, Field(gt=0, le=100)]
-RPM = 2.0 * math.pi / 60.0  # rad/s
+RAD_S_PER_RPM = 2.0 * math.pi / 60.0
 SPREAD = 0.02  # of lengths that describe one frame
 ALTERNATIVES = (  # of which one may be given
     ("thrust_to_weight", "max_thrust", "thrust_coefficient"),
@@ -187,17 +187,17 @@ class Airframe(Section):
         x, y = self.arms
         rpm_max = self.rpm_max or 0.7 * (self.motor_kv or 0.0) * (self.battery_volts or 0.0)
         if self.thrust_to_weight is not None:
-            thrust = mass * GRAVITY * self.thrust_to_weight / (4.0 * rpm_max**2)  # N/rpm^2
+            thrust = mass * GRAVITY_M_S2 * self.thrust_to_weight / (4.0 * rpm_max**2)  # N/rpm^2
         elif self.max_thrust is not None:
             thrust = self.max_thrust / rpm_max**2
         else:
-            thrust = (self.thrust_coefficient or 0.13) * AIR * diameter**4 / 3600.0
-        hover = math.sqrt(mass * GRAVITY / (4.0 * thrust))  # rpm
+            thrust = (self.thrust_coefficient or 0.13) * AIR_DENSITY * diameter**4 / 3600.0
+        hover = math.sqrt(mass * GRAVITY_M_S2 / (4.0 * thrust))  # rpm
         inertia = self.inertia or tuple(0.45 * mass * d for d in (y * y, x * x, x * x + y * y))
         torque = (self.torque_ratio or 0.1 * diameter) * thrust
         drag = self.drag / (4.0 * hover)
         return {
-            "g": GRAVITY,
+            "g": GRAVITY_M_S2,
             **dict(zip(("i_xx", "i_yy", "i_zz"), inertia, strict=True)),
             "k_x": drag,
             "k_y": drag,
@@ -209,7 +209,7 @@ class Airframe(Section):
             "k_pv": 0.0,
             "k_qv": 0.0,
             "k_r1": 2.0 * torque * hover,
-            "k_r2": RPM * (self.rotor_inertia or 0.02 * diameter**4),
+            "k_r2": RAD_S_PER_RPM * (self.rotor_inertia or 0.02 * diameter**4),
             "k_rr": 0.0,
             "tau": self.tau,
             "rpm_min": 0.12 * rpm_max if self.rpm_min is None else self.rpm_min,
@@ -222,21 +222,21 @@ class Airframe(Section):
         Motors 2 and 4 turn counter-clockwise, so that the yaw moment of the two models is one.
         """
         moments = {
-            "k_p": c["k_p"] / (RPM**2 * c["i_xx"]),
-            "k_q": c["k_q"] / (RPM**2 * c["i_yy"]),
-            "k_r": c["k_r1"] / (RPM * c["i_zz"]),
-            "k_rd": c["k_r2"] / (RPM * c["i_zz"]),
+            "k_p": c["k_p"] / (RAD_S_PER_RPM**2 * c["i_xx"]),
+            "k_q": c["k_q"] / (RAD_S_PER_RPM**2 * c["i_yy"]),
+            "k_r": c["k_r1"] / (RAD_S_PER_RPM * c["i_zz"]),
+            "k_rd": c["k_r2"] / (RAD_S_PER_RPM * c["i_zz"]),
         }
         turning = {f"turning{rotor}": (-1.0) ** rotor for rotor in (1, 2, 3, 4)}
         return {
             "g": c["g"],
-            "k_w": c["k_w"] / RPM**2,
-            "k_x": c["k_x"] / RPM,
-            "k_y": c["k_y"] / RPM,
+            "k_w": c["k_w"] / RAD_S_PER_RPM**2,
+            "k_x": c["k_x"] / RAD_S_PER_RPM,
+            "k_y": c["k_y"] / RAD_S_PER_RPM,
             **{f"{name}{rotor}": x for name, x in moments.items() for rotor in (1, 2, 3, 4)},
             **turning,
-            "w_min": c["rpm_min"] * RPM,
-            "w_max": c["rpm_max"] * RPM,
+            "w_min": c["rpm_min"] * RAD_S_PER_RPM,
+            "w_max": c["rpm_max"] * RAD_S_PER_RPM,
             "k": self.motor_map,
             "tau": c["tau"],
         }

@@ -11,9 +11,9 @@ from quadjax.core.sections import ORDERED, Field, Fraction, NonNegative, Positiv
 from quadjax.core.vectors import Rotors
 
 LOWEST = 0.75  # of the highest command: the lowest estimate, and what is observed as -1
-DELAY = 0.02  # s, time constant of the low-pass that the speeds and commands share
-FIRST_ERROR = 0.05  # of the highest command: largest error of the first estimate of an episode
-ADAPTATION = 0.2  # s, time constant of the estimate while all commands are at the limit
+LOW_PASS_S = 0.02  # time constant of the low-pass that the speeds and commands share
+FIRST_ERROR_FRACTION = 0.05  # of the highest command: of an episode's first estimate
+ADAPTATION_S = 0.2  # time constant of the estimate while all commands are at the limit
 
 
 class BatteryConfig(Section):
@@ -112,7 +112,7 @@ def limit_estimator(highest: Scalar, lag: Scalar, sample_rate: Scalar) -> LimitE
     The numbers are float32, or float64 where 64-bit types are enabled.
     """
     kind = jnp.result_type(float)
-    delay, adaptation = (jnp.asarray(x, kind) for x in (DELAY, ADAPTATION))
+    delay, adaptation = (jnp.asarray(x, kind) for x in (LOW_PASS_S, ADAPTATION_S))
     low_pass = 1.0 - jnp.exp(-1.0 / (delay * sample_rate))
     return LimitEstimatorParams(
         highest=jnp.asarray(highest, kind),
@@ -177,7 +177,7 @@ def draw_battery(params: Battery, rpm: Rotors, key: jax.Array) -> BatteryState:
     fraction, error = jax.random.uniform(key, (2,))
     low, high = params.charge
     charge = low + (high - low) * fraction
-    wrong = FIRST_ERROR * params.estimator.highest * (2.0 * error - 1.0)
+    wrong = FIRST_ERROR_FRACTION * params.estimator.highest * (2.0 * error - 1.0)
     first = params.full_power_limit(charge) + wrong
     return BatteryState(charge, begin(params.estimator, rpm, first))
 

@@ -25,7 +25,7 @@ from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3
 from quadjax.vehicle.protocol import Measurement, VehicleModel, VehicleParams
 
-DEFAULT_CUTOFF = 8.0  # Hz
+DEFAULT_CUTOFF_HZ = 8.0
 
 
 class EstimatorParams(struct.PyTreeNode):
@@ -52,7 +52,7 @@ def estimator_params(
     model: VehicleModel,
     vehicle: VehicleParams,
     sample_rate: Scalar,
-    cutoff: Scalar = DEFAULT_CUTOFF,
+    cutoff: Scalar = DEFAULT_CUTOFF_HZ,
     explicit_euler: bool = False,
 ) -> EstimatorParams:
     """The estimator of one vehicle at a fixed sample rate, Hz; both rates may be traced.

@@ -27,8 +27,8 @@ State = RigidBodyState
 Command = Any  # a pytree of scalars, in the order of ``VehicleModel.commands``
 Actuators = Any  # a pytree of scalars: propeller speeds, thrust, ...
 Population = Callable[[Constants, jax.Array], Constants]
-DEPENDENT = 0.5  # singular value of rows of unit length; below it, they are not independent
-NONE = 1e-3  # fraction of the strongest rotor's effect that is none
+LEAST_SINGULAR_VALUE = 0.5  # of rows of unit length; below it, they are not independent
+NO_EFFECT = 1e-3  # fraction of the strongest rotor's effect that is none
 
 
 class Signal(NamedTuple):
@@ -168,14 +168,14 @@ class VehicleModel:
         """Why the rotors cannot set thrust, roll, pitch and yaw independently; "" if they can.
 
         By the signs of the allocation: rotors of different strength do not make an axis
-        independent. The rank is that of rows of unit length, within ``DEPENDENT``.
+        independent. The rank is that of rows of unit length, within ``LEAST_SINGULAR_VALUE``.
         """
         rows = self.allocation(c)
         if rows is None:
             return ""
-        signs = np.sign(rows) * (np.abs(rows) > NONE * np.abs(rows).max(axis=1, keepdims=True))
+        signs = np.sign(rows) * (np.abs(rows) > NO_EFFECT * np.abs(rows).max(axis=1, keepdims=True))
         length = np.maximum(np.linalg.norm(signs, axis=1, keepdims=True), 1.0)
-        rank = np.linalg.matrix_rank(signs / length, DEPENDENT)
+        rank = np.linalg.matrix_rank(signs / length, LEAST_SINGULAR_VALUE)
         if rank == 4:
             return ""
         allowed = "all 4, as of neighbors that turn in opposite directions (turning)"

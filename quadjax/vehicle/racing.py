@@ -170,7 +170,7 @@ MONORACE_ROBUST = {
     **dict.fromkeys(("thrust", "drag", "aerodynamics", "moment", "yaw", "gyroscopic"), 0.5),
     **{"w_min": 0.5, "w_max": 0.4, "motor_map": 0.5, "lag": 0.55},
 }
-ROBUST_LAG = 0.025  # s, the time constant about which MONORACE_ROBUST draws
+ROBUST_LAG_S = 0.025  # the time constant about which MONORACE_ROBUST draws
 
 
 def _scaled(
@@ -269,7 +269,7 @@ class A2RLRacing(Racing):
     constants = A2RLConstants
     populations = {
         "monorace_fastest": functools.partial(_scaled, MONORACE_FASTEST, {}),
-        "monorace_robust": functools.partial(_scaled, MONORACE_ROBUST, {"tau": ROBUST_LAG}),
+        "monorace_robust": functools.partial(_scaled, MONORACE_ROBUST, {"tau": ROBUST_LAG_S}),
     }
 
     def force_moment(self, params: VehicleParams, body: BodyState) -> tuple[Vec3, Vec3]:

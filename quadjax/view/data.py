@@ -11,7 +11,7 @@ from quadjax.flights.flight import MOTORS, Flight, Signal
 from quadjax.flights.gates import is_same_track
 from quadjax.race.track import GateSection
 
-ARM, ROTOR = 0.12, 0.076  # m, center to rotor and radius of a rotor, of a Bebop
+ARM_M, ROTOR_M = 0.12, 0.076  # m, center to rotor and radius of a rotor, of a Bebop
 RECORD = "quadjax-flights/1"  # format of the data of a page
 NAMED = 3  # flights in a title
 MISSING = -32768  # of its integers: no value
@@ -42,7 +42,7 @@ def page_record(title: str, flights: Sequence[Flight]) -> dict[str, Any]:
         "format": RECORD,
         "title": title,
         "gates": [_gate_record(gate) for gate in (tracks[0].gates if tracks else ())],
-        "drone": {"arm": ARM, "rotor": ROTOR},
+        "drone": {"arm": ARM_M, "rotor": ROTOR_M},
         "flights": [_flight_record(flight.repeat(laps)) for flight in recorded],
         "markers": [{"name": name, "lap_ends": _numbers(ends)} for name, ends in marks.items()],
     }

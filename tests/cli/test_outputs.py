@@ -124,7 +124,7 @@ def test_a_command_of_a_notebook_has_no_terminal(monkeypatch):
 
 
 def test_a_long_step_of_a_command_is_one_line_where_there_is_no_terminal(monkeypatch):
-    monkeypatch.setattr(output, "SECONDS", 0.2)
+    monkeypatch.setattr(output, "LINE_AFTER_S", 0.2)
     text = io.StringIO()
     with output.steps(Console(file=text)) as report:
         report("building")
@@ -145,7 +145,7 @@ def test_view_says_what_it_simulates(tmp_path, capsys, monkeypatch):
         time.sleep(0.5)
         raise InputError("enough")
 
-    monkeypatch.setattr(output, "SECONDS", 0.1)
+    monkeypatch.setattr(output, "LINE_AFTER_S", 0.1)
     monkeypatch.setattr("quadjax.evaluation.sources.evaluate", evaluate)
     assert run("view", "e2e", "--race", "e2e", "--output", tmp_path / "a.html") == 2
     lines = capsys.readouterr().err.splitlines()

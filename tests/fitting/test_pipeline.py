@@ -214,7 +214,7 @@ def test_progress_is_printed_without_a_terminal(two, tmp_path, monkeypatch, caps
         raise InputError("stopped")
 
     monkeypatch.setattr(fits, "fit", stop)
-    monkeypatch.setattr("quadjax.cli.output.SECONDS", 0.1)
+    monkeypatch.setattr("quadjax.cli.output.LINE_AFTER_S", 0.1)
     logs = f"logs.files={two}/flight_0.csv"
     assert run("fit", CONFIG, logs, "--output", tmp_path) == 2
     assert capsys.readouterr().err == "reading flight_0.csv\nerror: stopped\n"

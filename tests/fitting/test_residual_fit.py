@@ -10,7 +10,7 @@ from quadjax.fitting.nominal import AXES, ModelInputs, nominal, regressors, resi
 from quadjax.fitting.regression import r_squared
 from quadjax.fitting.residual import ResidualFits, select
 from quadjax.fitting.residual_training import MIRROR_OUTPUT, NETWORKS, mirrored
-from quadjax.fitting.samples import NOWHERE, TEST, Samples, make_split
+from quadjax.fitting.samples import GUARD_ROW, TEST_ROW, Samples, make_split
 
 from .flights import random_residual
 
@@ -141,12 +141,12 @@ def test_split_by_flight_and_by_time():
 
     by_flight = split(test_flights=["b"])
     assert by_flight.by == "flight" and by_flight.names == ("a", "c")
-    assert (by_flight.fold[1000:2000] == TEST).all()
+    assert (by_flight.fold[1000:2000] == TEST_ROW).all()
     for fold in split(by="time", test_fraction=0.25).fold.reshape(3, 1000):
-        assert abs((fold == TEST).mean() - 0.25) < 0.01
-        order = fold[(fold != NOWHERE) & (fold != TEST)]
+        assert abs((fold == TEST_ROW).mean() - 0.25) < 0.01
+        order = fold[(fold != GUARD_ROW) & (fold != TEST_ROW)]
         assert (np.diff(order) >= 0).all() and set(order) == {0, 1, 2, 3}
-        assert (fold == NOWHERE).sum() == 5  # 0.1 s before the test rows
+        assert (fold == GUARD_ROW).sum() == 5  # 0.1 s before the test rows
     assert split(["a"]).by == "time"
     for config in (
         {"test_flights": ["d"]},

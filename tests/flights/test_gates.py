@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quadjax.flights.gates import LAST_SECONDS, clearance, passages
+from quadjax.flights.gates import LAST_GATE_S, clearance, passages
 from quadjax.race.track import GateSection
 
 # Two gates that face each other: north at x = 2, then back south at x = -2.
@@ -95,7 +95,7 @@ def test_a_flight_may_end_just_before_its_last_gate():
     passed = passages(time, position, GATES)
     np.testing.assert_allclose(passed, [[0.075, 0.0, 0.4]], atol=1e-9)
     assert not len(passages(time, position, GATES, cut=False))
-    far = position - [20.0 * LAST_SECONDS, 0.0, 0.0]
+    far = position - [20.0 * LAST_GATE_S, 0.0, 0.0]
     assert not len(passages(time, far, GATES))
     assert not len(passages(time, position + [0, 0.5, 0], GATES))
     assert len(passages(time, position + [0, 0.5, 0], GATES, reach=0.11)) == 1

@@ -21,7 +21,7 @@ from quadjax.limits.problem import (  # noqa: E402
     ATTITUDE,
     POSITION,
     VELOCITY,
-    Flight,
+    FlightOptions,
     gates_of,
     make_problem,
 )
@@ -69,7 +69,7 @@ MARGIN = 0.01  # m
 @pytest.mark.parametrize("shape", ["", ", shape: circle", ", roll_deg: 45"])
 def test_a_gate_beside_the_way_is_passed_at_its_edge(shape):
     race = make_race(load_config("indi", [GATES % shape]))
-    problem = make_problem(*race, Flight(gates=2, stops=True))
+    problem = make_problem(*race, FlightOptions(gates=2, stops=True))
     guess, settings = from_spline(problem, 1, 8), Settings(MARGIN, smoothness=1e-3)
     arguments = Dynamics(problem), guess, settings, threading.Event(), lambda _: None
     flight = solve(problem, *arguments).trajectory
@@ -94,7 +94,7 @@ def test_a_body_radius_narrows_openings_bounds_and_ground():
 ])  # fmt: skip
 def test_a_passage_is_measured_against_the_required_clearance(clearance, right, leeway):
     race = make_race(load_config("e2e +fastest"))
-    problem = make_problem(*race, Flight(clearance=clearance))
+    problem = make_problem(*race, FlightOptions(clearance=clearance))
     ahead, side, _ = problem.gates.axes[0]
     way = np.linspace(-0.5, 0.5, 12)[:, None] * ahead + right * side
     path = problem.gates.position[0] + way

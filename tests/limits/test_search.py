@@ -10,7 +10,7 @@ from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
-from quadjax.limits.problem import ATTITUDE, VELOCITY, Flight, make_problem
+from quadjax.limits.problem import ATTITUDE, VELOCITY, FlightOptions, make_problem
 from tests.commands import run
 
 pytest.importorskip("casadi")
@@ -24,7 +24,7 @@ from quadjax.limits.verify import verify  # noqa: E402
 
 def _problem(*overrides, **options):
     return make_problem(
-        *make_race(load_config("indi +fastest", list(overrides))), Flight(**options)
+        *make_race(load_config("indi +fastest", list(overrides))), FlightOptions(**options)
     )
 
 
@@ -103,7 +103,7 @@ def test_a_lap_with_a_split_s_is_found_from_a_spline():
     race = make_race(load_config("e2e +fastest", ["vehicle=5inch", "track=split_s"]))
     stop = threading.Event()  # set at the first verified flight
     report = lambda text: search.best is not None and stop.set()  # noqa: E731
-    search = Search(make_problem(*race, Flight(speed=40.0)), 1000, stop, report)
+    search = Search(make_problem(*race, FlightOptions(speed=40.0)), 1000, stop, report)
     best = search.run(starts=1)
     assert best.total <= 3.25
     assert best.check.error == "" and best.check.clearance >= 0.0 and best.check.margin >= 0.0

@@ -147,8 +147,8 @@ def _wait_for_both(sweep, params, seed, folder, enough):
 
 @pytest.mark.slow
 def test_two_machines_share_a_database_and_one_takes_over_a_silent_trial(tmp_path, monkeypatch):
-    monkeypatch.setattr("quadjax.sweeps.study.HEARTBEAT", 1)
-    monkeypatch.setattr("quadjax.sweeps.study.GRACE", 2)
+    monkeypatch.setattr("quadjax.sweeps.study.HEARTBEAT_S", 1)
+    monkeypatch.setattr("quadjax.sweeps.study.GRACE_S", 2)
     entries = {"storage": f"sqlite:///{tmp_path}/study.db", "executor": {"workers": 1}}
     sweep, _, study = open_small(tmp_path / "a", **entries)
     silent = study.ask()
