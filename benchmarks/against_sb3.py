@@ -76,7 +76,7 @@ def train_side(
     if side == "sb3":
         by_sb3(config, clock, folder)
     else:
-        quadjax.train(config, folder, enough=lambda row: clock.over(row["steps"]))
+        quadjax.train(config, folder, stop_when=lambda row: clock.over(row["steps"]))
     laps = quadjax.evaluate(folder / "policy.npz", config, runs=1, deterministic=True).laps
     done, (ended, total) = int(laps.laps_completed()[0]), clock.marks[-1]
     effort = f"{total / 1e6:.1f} | {ended - started:.0f} | {time.process_time():.0f} | {done} in"

@@ -4,13 +4,13 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks.calibration_likelihood import SHOWN
-from quadjax.plant.flights import Flights, rows
+from quadjax.plant.flights import PlantFlights, extract_rows
 
 MODEL_TAU, HIGHEST = 0.06, 12000.0  # s and rpm, of the first-order model
 LEAST_SPREAD = 0.01  # s
 
 
-def summary(name: str, flights: Flights, drones: int) -> dict[str, np.ndarray]:
+def summary(name: str, flights: PlantFlights, drones: int) -> dict[str, np.ndarray]:
     """The ``NUMBERS`` (drones,) of one policy; NaN where too few flights tell."""
     frames, laps = flights.frames, flights.laps.lap_times
     laps = laps.reshape(-1, drones, laps.shape[1])  # (flights, drones, laps)
@@ -23,8 +23,10 @@ def summary(name: str, flights: Flights, drones: int) -> dict[str, np.ndarray]:
     result[f"{name} finished"] = np.log((finished + 0.5) / (len(done) - finished + 0.5))
     numbers = []
     for run in range(drones):
-        rpm, command = (rows(flights, x, run) for x in (frames.true.actuators, frames.rpm_command))
-        place = rows(flights, frames.true.position, run)[:, :2]
+        rpm, command = (
+            extract_rows(flights, x, run) for x in (frames.true.actuators, frames.rpm_command)
+        )
+        place = extract_rows(flights, frames.true.position, run)[:, :2]
         numbers.append((0.5 * np.ptp(place, axis=0).mean(), *deviation(rpm, command, flights.step)))
     whole = np.where(done[0, :, None], np.array(numbers), np.nan)
     result[f"{name} half width"] = whole[:, 0]

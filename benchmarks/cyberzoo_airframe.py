@@ -17,7 +17,7 @@ from quadjax.cli import options, script
 from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant.config import NO_EFFECTS, OUTPUTS, VARIABLES, load_plant_config
-from quadjax.plant.flights import Flights, fly_plan, plan_race
+from quadjax.plant.flights import PlantFlights, fly_plan, plan_race
 from quadjax.policy.file import Policy
 from quadjax.vehicle.residual import read_residual, residual_force_moment
 
@@ -29,7 +29,7 @@ DRONES = {
 }
 
 
-def states_of(flights: Flights) -> np.ndarray:
+def states_of(flights: PlantFlights) -> np.ndarray:
     """Propeller speeds, velocity and rates, body, of every sample in flight (n, 10)."""
     true = jax.tree.map(jnp.asarray, flights.frames.true)
     velocity = world_to_body(attitude(true.euler), true.velocity)

@@ -43,7 +43,7 @@ def quantities(model, constants) -> dict[str, np.ndarray]:
 
 def sample(policy, config, drones, seconds, seed) -> tuple[np.ndarray, dict, dict]:
     """Drone (n,), inputs by source (n, k) and quantities by name (drones,) of all samples."""
-    environment, params = pilot.fit_race(*make_race(config.replace(schedules={})), policy)
+    environment, params = pilot.adapt_race(*make_race(config.replace(schedules={})), policy)
     params = without_training_limits(environment.model, params)
     pilot_params = pilot.make_pilot(policy, deterministic=True)
     states = laps.starting_states(
@@ -51,7 +51,7 @@ def sample(policy, config, drones, seconds, seed) -> tuple[np.ndarray, dict, dic
     )
     if states.constants is None:
         raise InputError("randomization draws no constants, allowed: randomization.all=0.2")
-    step = laps.stepper(environment, pilot.fly, params, pilot_params)
+    step = laps.stepper(environment, pilot.act, params, pilot_params)
     observe = jax.vmap(environment.observation, in_axes=(None, -1))
     rate = 1.0 / float(params.rules.time_step)
 

@@ -11,7 +11,7 @@ import pydantic
 
 import quadjax
 from quadjax.core.errors import InputError
-from quadjax.core.provenance import hash_of_file
+from quadjax.core.provenance import hash_file
 from quadjax.core.resources import PRETRAINED
 from quadjax.plant.config import load_plant_config
 from quadjax.plant.plant import nominal_vehicle
@@ -39,7 +39,7 @@ def settings(row: Tree) -> dict[str, Tree]:
 @functools.cache
 def _resolve(setting: str, first: str, *words: str) -> Tree:
     if setting == "policy":
-        if (digest := hash_of_file(PRETRAINED / first)) is None:
+        if (digest := hash_file(PRETRAINED / first)) is None:
             raise InputError(f"policy: {first}: no such file in quadjax/pretrained")
         return {"sha256": digest}
     if setting == "plant":
@@ -65,7 +65,7 @@ def plain(section: pydantic.BaseModel) -> Tree:
             return [cleaned(item, at) for item in value]
         if isinstance(value, str) and value.endswith(".npz"):
             name = Path(value).name
-            return hash_of_file(PRETRAINED / name) or name
+            return hash_file(PRETRAINED / name) or name
         return value
 
     return cleaned(section.model_dump(mode="json", by_alias=True), "")

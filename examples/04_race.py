@@ -22,7 +22,7 @@ def speed(step):
     return [0.1 * quadjax.safe_norm(step.velocity)]
 
 
-SPEED = quadjax.Field("speed", 1, "10 m/s", "world", range=4.0, value=speed)
+SPEED = quadjax.ObservedField("speed", 1, "10 m/s", "world", range=4.0, value=speed)
 CHANGES = [  # modules are imported from the current folder, or from that of the script
     "reward.terms={04_race:out_of_view: -0.5}",
     "rules.extra=[04_race:ceiling]",

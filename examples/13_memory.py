@@ -29,7 +29,7 @@ def observed(step):
 
 
 steady_offset.memory = memory = OffsetIntegral()
-INTEGRAL = quadjax.Field("offset_integral", 1, "m s", "gate", value=observed, memory=memory)
+INTEGRAL = quadjax.ObservedField("offset_integral", 1, "m s", "gate", value=observed, memory=memory)
 
 
 def main():

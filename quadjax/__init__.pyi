@@ -36,8 +36,8 @@ from quadjax.learners.state import TrainState as TrainState
 from quadjax.plant.config import load_plant_config as load_plant_config
 from quadjax.plant.flights import plan_logs as plan_logs
 from quadjax.policy.file import Policy as Policy
-from quadjax.race.layout import Field as Field
 from quadjax.race.layout import Layout as Layout
+from quadjax.race.layout import ObservedField as ObservedField
 from quadjax.race.memory import Memory as Memory
 from quadjax.race.types import Step as Step
 from quadjax.training.fine_tuning import fine_tuning as fine_tuning

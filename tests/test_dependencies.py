@@ -65,7 +65,7 @@ WITHOUT_CONFIG = (
     *("fitting", "plant"),
 )
 # Public functions that also take a preset's name.
-EDGES = {"race_of_policy", "policy_of", "_make", "_make_vector"}
+EDGES = {"race_of_policy", "import_policy", "_make", "_make_vector"}
 EDGES |= {"plan_race", "race_config", "plan_logs"}  # flights of a race on the plant
 EDGES |= {"own_race", "differences", "warn_of_other_race"}  # two races next to each other
 

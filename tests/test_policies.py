@@ -13,8 +13,8 @@ from quadjax.training.build import (
     first_params,
     input_scale,
     make_network,
+    make_policy,
     network_policy,
-    policy_of,
     with_policy,
 )
 from tests.race.support import BLANK
@@ -32,7 +32,7 @@ def test_training_and_flight_share_one_head(algorithm):
     assert (raw > 1.5).any() and (raw < -1.5).any() and (np.abs(raw) < 0.9).any()
     trained = np.asarray(mean_action(network, params, seen))
     np.testing.assert_array_equal(trained, np.clip(raw, -1, 1) if algorithm == "shac" else raw)
-    policy = policy_of(config, params).on_device()
+    policy = make_policy(config, params).on_device()
     noise = jnp.full((64, 4), -0.3)
     flown = jax.vmap(act_deterministic, in_axes=(None, 0, 0))(policy, seen, noise)
     np.testing.assert_allclose(flown, trained, atol=1e-5)
@@ -50,7 +50,7 @@ def test_normalized_networks_fly_as_they_train_and_are_read_back():
     params = {**params, "actor": jax.tree.map(lambda x: 10.0 * x, params["actor"])}
     seen = 5.0 * jax.random.normal(jax.random.key(1), (64, len(scale)))
     trained = mean_action(network, params, scale * seen)
-    policy = policy_of(config, params)
+    policy = make_policy(config, params)
     for found in (policy.on_device(), network_policy(config, params)):
         flown = jax.vmap(act_deterministic, in_axes=(None, 0, 0))(found, seen, jnp.zeros((64, 4)))
         np.testing.assert_allclose(flown, trained, rtol=1e-3, atol=1e-3)

@@ -23,8 +23,8 @@ from quadjax.policy.race import race_of_policy
 from quadjax.training import run as training
 from quadjax.training.build import (
     initial_policy,
+    make_policy,
     make_training,
-    policy_of,
     start_state,
     untrained_policy,
 )
@@ -71,12 +71,12 @@ def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, capsy
     )
     count = lambda row: after_chunk.append(len(compiled))  # noqa: E731
     monkeypatch.setattr("quadjax.training.progress.LOG_EVERY_S", 0.0)
-    whole = training.train(config, tmp_path / "whole", enough=count)
+    whole = training.train(config, tmp_path / "whole", stop_when=count)
     assert f"{config.name}: compiling, " in capsys.readouterr().err
     assert whole.finished
     assert len(after_chunk) == 4 and after_chunk[0] > 0
     assert after_chunk[1:] == after_chunk[:1] * 3
-    part = training.train(config, tmp_path / "part", enough=at(256))
+    part = training.train(config, tmp_path / "part", stop_when=at(256))
     assert not part.finished and part.summary["steps"] == 256
     training.train(config, tmp_path / "part", resume=True)
     assert same(whole.folder, part.folder)
@@ -99,7 +99,7 @@ def test_the_critic_of_a_file_is_scaled_to_the_unit_of_the_reward(tmp_path):
         for (kernel, bias), (k, b), scale in zip(layers, file.value, scales, strict=True):
             np.testing.assert_allclose(kernel, scale * k, rtol=1e-6)
             np.testing.assert_allclose(bias, scale * b, rtol=1e-6)
-    back = policy_of(config, state.params)
+    back = make_policy(config, state.params)
     for (kernel, bias), (k, b) in zip(back.value, file.value, strict=True):
         np.testing.assert_allclose(kernel, k, rtol=1e-6)
         np.testing.assert_allclose(bias, b, rtol=1e-6)
@@ -169,7 +169,7 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_a_damaged_checkpoint_is_refused_before_anything_is_compiled(tmp_path, monkeypatch):
     config = config_of("e2e")
-    training.train(config, tmp_path, enough=at(128))
+    training.train(config, tmp_path, stop_when=at(128))
     for path in (tmp_path / "checkpoints").rglob("*"):
         if path.is_file():
             path.write_bytes(b"")
@@ -200,7 +200,7 @@ def test_a_moved_run_is_resumed_evaluated_and_exported(tmp_path):
     write_files(tmp_path / "files")
     overrides = [f"{key}={tmp_path / 'files' / name}" for key, name in NAMED.items()]
     config = config_of("e2e", *overrides, "network.activation=relu")
-    assert not training.train(config, tmp_path / "part", enough=at(256)).finished
+    assert not training.train(config, tmp_path / "part", stop_when=at(256)).finished
     shutil.rmtree(tmp_path / "files")
     moved = (tmp_path / "part").rename(tmp_path / "moved")
     resumed = training.train(load_config(moved / "config.yaml"), moved, resume=True)

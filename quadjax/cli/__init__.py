@@ -39,7 +39,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "sil": "fly exported C on a simulated drone",
     "import": "convert a network of another project to a policy or residual file",
     "logs": "write flight logs of a plant or of a known model",
-    "show": "list what comes with the package, or print one of it",
+    "show": "list presets, tracks, vehicles and policies; print one",
 }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from quadjax.config.layers import OVERRIDES, file_values
 from quadjax.config.loading import load_config, load_with_units
 from quadjax.config.reference import commented_yaml
-from quadjax.config.reference import describe as keys_of
+from quadjax.config.reference import describe as describe_keys
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import whole_file
@@ -53,7 +53,7 @@ ANY_WIDTH = "vehicle.width=0"  # a track or a vehicle is shown alone: no gate is
 COMMENT = "Source of the constants: docs/guide/race.md, Drone. A fit to logs gives better ones."
 
 
-def kind_of(what: str) -> str:
+def find_kind(what: str) -> str:
     """The kind of a name or a file: config, track, vehicle, plant, fit config or policy.
 
     Raises:
@@ -66,7 +66,7 @@ def kind_of(what: str) -> str:
         if "gates" in keys or keys & {"models", *MODELS}:
             return "track" if "gates" in keys else "vehicle"
         return max(SCHEMAS, key=lambda kind: len(keys & {*SCHEMAS[kind][0].model_fields}))
-    if files := files_of(what):
+    if files := find_files(what):
         return next(iter(files))
     if what and Path(what).is_dir():
         raise InputError(
@@ -92,7 +92,7 @@ def _keys_of(file: str) -> set[str]:
     return set(read_tree_with_bases(file))
 
 
-def files_of(name: str) -> dict[str, Path]:
+def find_files(name: str) -> dict[str, Path]:
     """The files of a name that come with the package, by kind; ``show`` prints the first."""
     stem = name.removesuffix(".yaml")
     kinds = [kind for kind, folder in FOLDERS.items() if stem in preset_names(folder)]
@@ -100,7 +100,7 @@ def files_of(name: str) -> dict[str, Path]:
     return files | ({"policy": find_policy(f"{stem}.npz")} if stem in policy_names() else {})
 
 
-def text_of(what: str, overrides: Sequence[str] = (), model_name: str | None = None) -> str:
+def describe(what: str, overrides: Sequence[str] = (), model_name: str | None = None) -> str:
     """A config, a track, a vehicle, a plant, a fit config or a policy as text.
 
     Args:
@@ -111,7 +111,7 @@ def text_of(what: str, overrides: Sequence[str] = (), model_name: str | None = N
     Raises:
         InputError: no such name or file, one that cannot be read, or overrides of another kind.
     """
-    kind = "vehicle" if model_name else kind_of(what)
+    kind = "vehicle" if model_name else find_kind(what)
     if kind in SCHEMAS:
         if kind == "config":
             text = commented_yaml(*load_with_units(what, overrides))
@@ -167,7 +167,7 @@ def _vehicle_text(config: Config) -> str:
 def keys_text(kind: str) -> str:
     """The settings of a random track, or the data of an airframe, that ``write`` takes."""
     lines = []
-    for key in keys_of(RandomTrack if kind == "track" else Airframe):
+    for key in describe_keys(RandomTrack if kind == "track" else Airframe):
         default = "" if key.default is None else f" ({json.dumps(key.default)})"
         lines.append(f"{key.key:<20}{key.description}{default}")
     return "\n".join(lines)

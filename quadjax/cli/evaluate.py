@@ -115,7 +115,7 @@ def evaluate(
     entries = [_entry(file, config, overrides) for file in files]
     with loading():
         from quadjax.evaluation.evaluate import evaluate as fly
-        from quadjax.evaluation.result import joined
+        from quadjax.evaluation.result import merge_evaluations
 
     how: dict[str, Any] = {"laps": laps, "gates": gates, "seconds": seconds, "runs": runs}
     how |= {"start": start, "seed": seed, "plant": plant, "drones": drones, "body_radius": body}
@@ -128,7 +128,7 @@ def evaluate(
         else:
             how |= {"conditions": listed, "progress": show, "deterministic": deterministic or None}
             flown = [fly(*entry, name=file, **how) for file, entry in entries]
-        result = joined(flown)
+        result = merge_evaluations(flown)
         text = result.table(format) + (_offsets(flown[0]) if offsets else "")
         _write(flown[0] if listed is None else result, json, states, figures)
     print(text)
@@ -167,13 +167,13 @@ def _entry(
         from quadjax.config.assembly import make_race
         from quadjax.config.loading import load_config
         from quadjax.policy.file import Policy
-        from quadjax.policy.pilot import fit_race
+        from quadjax.policy.pilot import adapt_race
         from quadjax.policy.race import race_of_policy
 
     race = None if config is None else load_config(config, overrides)
     policy = Policy.load(path, race)
     race, _ = race_of_policy(policy, path, race)
-    fit_race(*make_race(race), policy, str(path))
+    adapt_race(*make_race(race), policy, str(path))
     return str(path), (policy, race)
 
 

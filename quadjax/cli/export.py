@@ -28,7 +28,7 @@ def export(
     target: Target = DEFAULT_TARGET,
     name: str | None = None,
     range_: Ranges | None = None,
-    track: Annotated[str | None, opt.config_of("tracks")] = None,
+    track: Annotated[str | None, opt.config_parameter("tracks")] = None,
     race: opt.Race = None,
     sample_rate: Annotated[float | None, opt.number(1.0, 1e5)] = None,
     cutoff: Annotated[float | None, opt.number(0.001, 25_000.0)] = None,

@@ -14,7 +14,7 @@ from quadjax.core.resources import find_config
 
 
 def fit(
-    config: Annotated[str, Parameter(name="CONFIG"), opt.config_of("fit")],
+    config: Annotated[str, Parameter(name="CONFIG"), opt.config_parameter("fit")],
     /,
     *overrides: opt.Overrides,
     name: opt.RunName | None = None,

@@ -61,7 +61,7 @@ def import_(
     """
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.policy.foreign import policy_of, residual_of, sort_files
+        from quadjax.policy.foreign import import_policy, import_residual, sort_files
         from quadjax.policy.network_files import ASSUMED
         from quadjax.vehicle.residual import write_residual
 
@@ -73,7 +73,7 @@ def import_(
         opt.refuse("on a residual", **of_policy, actuator_range=actuator_range)
         write_residual(
             output,
-            residual_of(race.vehicle, networks, sign, residual_range),
+            import_residual(race.vehicle, networks, sign, residual_range),
             {"imported": networks},
         )
         wrote(output)
@@ -83,10 +83,10 @@ def import_(
         opt.refuse("on a policy", thrust_sign=thrust_sign, residual_range=residual_range)
     else:
         opt.refuse("on a residual, import it alone", motors=motors)
-        residual = residual_of(race.vehicle, networks[1:], sign, residual_range)
+        residual = import_residual(race.vehicle, networks[1:], sign, residual_range)
         vehicle = race.vehicle.replace(residual=None, residual_gain=1.0)  # the files' instead
         race = race.replace(vehicle=vehicle)
-    policy = policy_of(networks[0], race, activation, deviations, motors, actuator_range)
+    policy = import_policy(networks[0], race, activation, deviations, motors, actuator_range)
     print(f"policy of {race.name}: {policy.describe()}")
     note(ASSUMED)
     dataclasses.replace(policy, residual=residual).save(output)

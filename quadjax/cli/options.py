@@ -148,7 +148,7 @@ def _run_name(text: str) -> str:
     return text
 
 
-def config_of(folder: str, **named: Any) -> Parameter:
+def config_parameter(folder: str, **named: Any) -> Parameter:
     """The parameter of a config in a folder of ``configs/``, whose help lists the names."""
 
     def convert(text: str) -> str:
@@ -180,12 +180,12 @@ PolicyFile = Annotated[
     path("a policy file, the folder of a run, or a shipped policy", policy_file),
     Parameter(metavar="FILE.npz"),
 ]
-PlantConfig = Annotated[str, config_of("plant", metavar="CONFIG")]
-FitConfig = Annotated[str, config_of("fit", metavar="FIT.yaml")]
+PlantConfig = Annotated[str, config_parameter("plant", metavar="CONFIG")]
+FitConfig = Annotated[str, config_parameter("fit", metavar="FIT.yaml")]
 Race = Annotated[str | None, Parameter(metavar="CONFIG")]
 Conditions = Annotated[
     str | None,
-    config_of(
+    config_parameter(
         "conditions",
         metavar="NAME",
         help=f"List of conditions: {', '.join(preset_names('conditions'))}, or a YAML file.",

@@ -78,5 +78,5 @@ def wrote(*paths: Path | str | None) -> None:
 
 def resuming_command() -> str:
     """The command line that was given, with ``--resume`` and without ``--overwrite``."""
-    words = [word for word in ARGUMENTS.get() if word not in ("--overwrite", "--resume")]
-    return shlex.join([*words, "--resume"])
+    arguments = [x for x in ARGUMENTS.get() if x not in ("--overwrite", "--resume")]
+    return shlex.join([*arguments, "--resume"])

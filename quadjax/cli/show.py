@@ -19,13 +19,13 @@ from quadjax.core.resources import CONFIGS, KINDS, policy_names, preset_names
 def show(
     what: Annotated[str | None, Parameter(name="WHAT")] = None,
     /,
-    *words: Overrides,
+    *overrides: Overrides,
     write: Literal["track", "vehicle"] | None = None,
     overwrite: Flag = False,
     figure: Picture = None,
     model: Annotated[str | None, Parameter(metavar="module:OBJECT")] = None,
 ) -> None:
-    """List what comes with the package, or print one of it.
+    """List presets, parts, tracks, vehicles and policies, or print one of them.
 
     Without WHAT, everything that comes with the package is listed by name.
     WHAT is a name or a file; what it contains decides what is printed:
@@ -65,19 +65,19 @@ def show(
         check_writable(figure, overwrite=overwrite)
     if write is not None:
         check_writable(Path(what), (".yaml",), overwrite)
-        (catalog.write_track if write == "track" else catalog.write_vehicle)(Path(what), words)
+        (catalog.write_track if write == "track" else catalog.write_vehicle)(Path(what), overrides)
         wrote(what)
-        words = ()
-    text = catalog.text_of(what, words, model)
+        overrides = ()
+    text = catalog.describe(what, overrides, model)
     if figure is not None:
-        kind = catalog.kind_of(what)
+        kind = catalog.find_kind(what)
         if kind != "track":
             raise InputError(f"--figure has no effect: {what} is a {kind}, not a track")
         track = catalog.read_track(what)
         save_figure(trajectory_figure([], track.gates, track.name), figure)
     print(text)
     wrote(figure)
-    for kind, path in [] if Path(what).exists() else list(catalog.files_of(what).items())[1:]:
+    for kind, path in [] if Path(what).exists() else list(catalog.find_files(what).items())[1:]:
         note(f"{what} is also a {kind}: {quadjax_command('show', path)}")
 
 

@@ -22,7 +22,7 @@ FILES = ("study.journal*", "trials", "trials.csv", "logs", "report.md", "best.ya
 
 
 def sweep(
-    config: Annotated[str, Parameter(name="CONFIG"), opt.config_of("sweeps")],
+    config: Annotated[str, Parameter(name="CONFIG"), opt.config_parameter("sweeps")],
     /,
     *overrides: opt.Overrides,
     workers: opt.Count | None = None,

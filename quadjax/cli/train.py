@@ -17,7 +17,7 @@ from quadjax.core.interruptions import loading
 if TYPE_CHECKING:
     from quadjax.config.schema import Config
 
-RUNS = 100
+DEFAULT_RUNS = 100
 SEEDS = Group("Several seeds", sort_key=2)
 
 
@@ -66,7 +66,7 @@ def train(
     named = [*overrides, *([f"name={name}"] if name else [])]
     if seeds is not None:
         opt.refuse("with --seeds", resume=resume, fine_tune=fine_tune)
-        _train_seeds([config, *named], seeds, runs or RUNS, output, figure, overwrite)
+        _train_seeds([config, *named], seeds, runs or DEFAULT_RUNS, output, figure, overwrite)
         return 0
     opt.refuse("without --seeds", runs=runs, figure=figure)
     settings = load_config(config, named)
@@ -109,16 +109,16 @@ def _train(config: "Config", folder: Path, resume: bool, overwrite: bool) -> int
 
 
 def _train_seeds(
-    words: Sequence[str],
+    arguments: Sequence[str],
     seeds: Sequence[int],
     runs: int,
     output: Path,
     figure: Path | None,
     overwrite: bool,
 ) -> None:
-    """Train each config among the words, with the overrides among them, with each seed."""
-    changes = [word for word in words if is_override(word)]
-    files = [word for word in words if word not in changes]
+    """Train each config among the arguments, with the overrides among them, with each seed."""
+    changes = [argument for argument in arguments if is_override(argument)]
+    files = [argument for argument in arguments if argument not in changes]
     if len(set(seeds)) < len(seeds):
         raise InputError(f"--seeds has a seed twice: {' '.join(map(str, seeds))}")
     if seed := [word for word in changes if word.startswith("seed=")]:

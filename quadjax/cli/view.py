@@ -108,10 +108,10 @@ def _write(output: Path, title: str | None, track: str, flights: "list[Flight]")
     """Write the page, its data or the flights, by the suffix; returns the number of flights."""
     with loading():
         from quadjax.flights import save
-        from quadjax.view.data import page_record, title_of
+        from quadjax.view.data import make_title, page_record
         from quadjax.view.page import write_page
 
-    record = page_record(title or title_of(flights, track), flights)
+    record = page_record(title or make_title(flights, track), flights)
     if output.suffix == ".npz":
         save(flights, output)
     elif output.suffix == ".json":

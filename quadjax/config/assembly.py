@@ -79,7 +79,7 @@ def _user_objects(
     objects = tuple((name, load_object(name, key)) for name in names)
     for name, item in objects:
         if not (callable(item) if kind is None else isinstance(item, kind)):
-            wanted = "a function" if kind is None else "a quadjax.Field"
+            wanted = "a function" if kind is None else "a quadjax.ObservedField"
             raise InputError(f"{key}: {name} is a {type(item).__name__}, expected {wanted}")
     return objects
 

@@ -23,7 +23,7 @@ from quadjax.race.track import TrackSection
 from quadjax.vehicle.registry import base_model
 from quadjax.vehicle.vehicle_file import for_each_rotor
 
-WORDS = re.compile(r" +(?=\+|[\w.]+=)")  # between a preset, its parts and overrides
+SEPARATOR = re.compile(r" +(?=\+|[\w.]+=)")  # between a preset, its parts and overrides
 CODE = [  # sections and keys whose values may be module:OBJECT
     (section, key)
     for section in Config.model_fields
@@ -65,11 +65,11 @@ def load_with_units(
     config: Path | str, overrides: Sequence[str] = (), *, code: Collection[str] | None = None
 ) -> tuple[Config, WithUnit]:
     """As ``load_config``, with the numbers that are in units of the race in the files."""
-    name, *words = [str(config)] if os.path.exists(config) else WORDS.split(str(config))
-    words = [*words, *overrides]
+    name, *more = [str(config)] if os.path.exists(config) else SEPARATOR.split(str(config))
+    overrides = [*more, *overrides]
     path = find_config(name)
-    parts = [word[1:] for word in words if word.startswith("+")]
-    changes = [word for word in words if not word.startswith("+")]
+    parts = [override[1:] for override in overrides if override.startswith("+")]
+    changes = [override for override in overrides if not override.startswith("+")]
     layers = config_layers(path, parts, changes)
     for source, layer in layers if code is not None else ():
         _refuse_code(layer, str(source), code or ())
@@ -96,7 +96,7 @@ def with_track(config: Config, file: str) -> Config:
     tree, sources = merge_layers(layers, "config", without_replaced)
     if tree["track"].get("closed") is False:
         tree["evaluate"] |= {"laps": 1, "gates": None}
-    return config_of(_with_opening(generated(tree, sources), sources), sources)
+    return parse_config(_with_opening(generated(tree, sources), sources), sources)
 
 
 def generated(tree: Tree, sources: Sources) -> Tree:
@@ -147,7 +147,7 @@ def _with_opening(tree: Tree, sources: Sources) -> Tree:
     return {**tree, "track": {**section, "gates": gates, "opening": None}, "rules": rules}
 
 
-def config_of(tree: Tree, source: str | Sources) -> Config:
+def parse_config(tree: Tree, source: str | Sources) -> Config:
     """The config of a complete tree, such as the one in a policy file.
 
     Args:
@@ -200,7 +200,7 @@ def stored_config(tree: Tree, file: str, code: Collection[str] = ()) -> Config:
     """
     source = f"{file}: config"
     _refuse_code(tree, source, code)
-    return config_of(tree, source)
+    return parse_config(tree, source)
 
 
 def _refuse_code(tree: Mapping[str, Any], source: str, allowed: Collection[str] = ()) -> None:

@@ -18,9 +18,9 @@ from quadjax.core.section_keys import dotted, fields_at
 from quadjax.core.sections import LARGEST, BadValue, Section, refuse, unit_of, validate
 from quadjax.core.yaml_files import Tree
 from quadjax.race.track import TrackSection, check_lap
+from quadjax.vehicle.airframe import GRAVITY_M_S2
 from quadjax.vehicle.registry import base_model
 
-GRAVITY_M_S2 = 9.81
 LEAST_THRUST_TO_WEIGHT = 1.05  # of thrust to weight: a drone below it hardly accelerates sideways
 SHORTEST_LEG_M = 0.01  # of a leg
 ENVS_MULTIPLE = 8
@@ -32,7 +32,7 @@ _WITH_UNIT = re.compile(
 
 
 @dataclasses.dataclass(frozen=True)
-class Scales:
+class RaceScales:
     """The units of a race.
 
     Attributes:
@@ -73,7 +73,7 @@ class Scales:
         }.get(unit, {})
 
 
-def race_scales(track: TrackSection, vehicle: Vehicle, time_step: float) -> Scales:
+def race_scales(track: TrackSection, vehicle: Vehicle, time_step: float) -> RaceScales:
     """The units of a race, from its track and its drone.
 
     The level acceleration is ``g sqrt(r^2 - 1)`` with the thrust-to-weight ratio ``r``.
@@ -100,7 +100,7 @@ def race_scales(track: TrackSection, vehicle: Vehicle, time_step: float) -> Scal
         start = centers[0] if track.start is None else track.start.position
         legs = np.linalg.norm(centers - start, axis=1)
     half_gate = 0.5 * min(size for gate in track.gates for size in gate.size)
-    return Scales(
+    return RaceScales(
         leg=max(float(legs.mean()), SHORTEST_LEG_M),
         acceleration=vehicle.constants.get("g", GRAVITY_M_S2) * math.sqrt(ratio**2 - 1.0),
         half_gate=half_gate,
@@ -124,7 +124,7 @@ def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
     written: WithUnit = {}
 
     @functools.cache
-    def scales() -> Scales:
+    def scales() -> RaceScales:
         rules = validate(Rules, tree.get("rules", {}), "rules", "rules.")
         track = validate(TrackSection, tree.get("track", {}), "track", "track.")
         return race_scales(track, tree["vehicle"], rules.time_step)
@@ -158,7 +158,7 @@ def _unit_of(location: Location, learner: type[Section]) -> str | None:
     return unit_of(field) if field else None
 
 
-def _size(key: str, match: re.Match, unit: str, scales: Scales) -> float:
+def _size(key: str, match: re.Match, unit: str, scales: RaceScales) -> float:
     """The size of a unit of the race, which has to be of the same dimension as the key's."""
     positive = unit in ("steps", "decay", "environments")
     number, name, units = float(match["number"]), match["unit"], scales.units(unit)

@@ -41,7 +41,7 @@ KINDS = {  # by a regular expression of the first bytes; the first that matches
 }
 
 
-def kind_of(path: Path | str) -> str:
+def identify_kind(path: Path | str) -> str:
     """What a file is: ``TEXT`` and the other constants of this module, or a phrase.
 
     Raises:
@@ -75,5 +75,5 @@ def check_kind(path: Path | str, expected: str, *kinds: str) -> None:
     Raises:
         InputError: it says what the file is, and what is ``expected``.
     """
-    if (kind := kind_of(path)) not in kinds:
+    if (kind := identify_kind(path)) not in kinds:
         raise InputError(f"{path}: is {kind}, expected {expected}")

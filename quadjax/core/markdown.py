@@ -14,7 +14,7 @@ def table(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
 
 
-def lines_of(table: Table) -> list[str]:
+def render_lines(table: Table) -> list[str]:
     """A table as lines of text without colors, of any width, in a notebook too."""
     stream = io.StringIO()
     Console(file=stream, width=10**4, color_system=None, force_jupyter=False).print(table)

@@ -43,8 +43,7 @@ def provenance(
         "quadjax": __version__,
         "commit": commit(),
         "jax": importlib.metadata.version("jax"),
-        "config": config
-        and {"name": getattr(config, "name", None), "sha256": hash_of_config(config)},
+        "config": config and {"name": getattr(config, "name", None), "sha256": hash_config(config)},
         "policy": policy and file_record(policy),
         "seed": getattr(config, "seed", None) if seed is None else seed,
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -67,7 +66,7 @@ def commit() -> str | None:
     return None
 
 
-def line_of(origin: dict[str, Any]) -> str:
+def describe_origin(origin: dict[str, Any]) -> str:
     """A ``provenance`` with a config as a line of text."""
     source = f" ({origin['commit']})" if origin["commit"] else ""
     versions = f"quadjax {origin['quadjax']}{source}, JAX {origin['jax']}, {origin['date']}"
@@ -76,10 +75,10 @@ def line_of(origin: dict[str, Any]) -> str:
 
 def file_record(path: Path | str) -> dict[str, str | None]:
     """A file and its SHA-256, null where there is no such file."""
-    return {"file": str(path), "sha256": hash_of_file(path)}
+    return {"file": str(path), "sha256": hash_file(path)}
 
 
-def hash_of_config(config: pydantic.BaseModel) -> str:
+def hash_config(config: pydantic.BaseModel) -> str:
     """SHA-256 of a config's values; ``.npz`` files are hashed by their content."""
     values = _by_content(config.model_dump(mode="json", by_alias=True))
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
@@ -91,10 +90,10 @@ def _by_content(value: Any) -> Any:
     if isinstance(value, list):
         return [_by_content(item) for item in value]
     named = isinstance(value, str) and value.endswith(".npz")
-    return (named and (hash_of_file(value) or hash_of_file(PRETRAINED / value))) or value
+    return (named and (hash_file(value) or hash_file(PRETRAINED / value))) or value
 
 
-def hash_of_file(path: Path | str) -> str | None:
+def hash_file(path: Path | str) -> str | None:
     """SHA-256 of a file; None where there is no such file."""
     with contextlib.suppress(OSError, ValueError), open(path, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -107,7 +107,7 @@ def safe_norm(vector: Vec3) -> jax.Array:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
-def between(low: jax.Array | float, high: jax.Array | float, draw: jax.Array) -> jax.Array:
+def from_unit(low: jax.Array | float, high: jax.Array | float, draw: jax.Array) -> jax.Array:
     """A number of [-1, 1] mapped to [low, high]."""
     return low + 0.5 * (high - low) * (draw + 1.0)
 

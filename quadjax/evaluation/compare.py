@@ -24,7 +24,7 @@ Race = Config | Path | str | None
 KINDS = {"e2e": "motor", "indi": "rate"}  # vehicle model of each contender's policies
 
 
-class Training(NamedTuple):
+class TrainedPolicy(NamedTuple):
     """A policy, and the race that it flies."""
 
     file: str
@@ -79,7 +79,7 @@ def compare(
     plant = plant or (None if listed is None else listed.plant)
     plant = load_plant_config(plant) if isinstance(plant, Path | str) else plant
     both = [
-        [_training(argument, one, race) for one in ([x] if isinstance(x, Trained) else x)]
+        [_load_trained(argument, one, race) for one in ([x] if isinstance(x, Trained) else x)]
         for argument, x in (("e2e", e2e), ("indi", indi))
     ]
     _check_races([*both[0], *both[1]])
@@ -99,7 +99,7 @@ def compare(
     return Comparison(names, worlds, listed is not None, origin)
 
 
-def _training(argument: str, given: Trained, race: Race) -> Training:
+def _load_trained(argument: str, given: Trained, race: Race) -> TrainedPolicy:
     """A policy of an argument of ``compare``, in the race of both or in its own."""
     if isinstance(given, Run):
         file, policy, race = str(given.folder), given.policy, race or given.config
@@ -112,10 +112,10 @@ def _training(argument: str, given: Trained, race: Race) -> Training:
         raise InputError(f"{file}: a policy for the {policy.vehicle} vehicle, {expected}")
     flown, _ = race_of_policy(policy, file, race)
     warn_of_other_race(policy, flown, file)
-    return Training(file, policy, flown)
+    return TrainedPolicy(file, policy, flown)
 
 
-def _check_races(trainings: Sequence[Training]) -> None:
+def _check_races(trainings: Sequence[TrainedPolicy]) -> None:
     first = trainings[0]
     for other in trainings[1:]:
         for key, there, here in differences(first.race, other.race, ("track", "rules")):
@@ -126,7 +126,7 @@ def _check_races(trainings: Sequence[Training]) -> None:
 
 
 def _fly(
-    training: Training, places: Sequence[PlantConfig | None], how: dict[str, Any]
+    training: TrainedPolicy, places: Sequence[PlantConfig | None], how: dict[str, Any]
 ) -> dict[str, Row]:
     """Flights in the simulator (None) or on a plant, by their labels or those of conditions."""
     file, policy, race = training
@@ -134,7 +134,7 @@ def _fly(
     for plant in places:
         config = race_config(race, policy) if plant is None else race
         options = how | {"drones": how["drones"] if plant is places[-1] else None}
-        with warnings.catch_warnings():  # ``_training`` warns of another race
+        with warnings.catch_warnings():  # ``_load_trained`` warns of another race
             warnings.filterwarnings("ignore", ".*: trained in another race", InputWarning)
             rows = evaluate(policy, config, name=file, plant=plant, **options).rows
         label = SIMULATED if plant is None else PLANT

@@ -46,7 +46,7 @@ from quadjax.vehicle.rigid_body import BodyState
 Start = Literal["hover", "random", "around", "before_gate"]
 Factor = Annotated[float, Field(gt=0.0, le=10.0)]
 Moment = Annotated[float, Field(ge=-1.0, le=1.0)]
-Words = Annotated[tuple[str, ...], Field(max_length=100)]
+Texts = Annotated[tuple[str, ...], Field(max_length=100)]
 FOLDER, DELAYS = "conditions", "delays"
 LENGTHS = ("laps", "gates", "seconds")  # of a flight: one of them
 
@@ -66,9 +66,9 @@ class Condition(Section):
     """One way in which the race, the simulated drone or the plant differs."""
 
     label: str = Field(min_length=1, description="one line")
-    overrides: Words = Field((), description="KEY=VALUE of the race's config")
-    plant: Words = Field((), description="KEY=VALUE of the plant's config")
-    only: Words | None = Field(
+    overrides: Texts = Field((), description="KEY=VALUE of the race's config")
+    plant: Texts = Field((), description="KEY=VALUE of the plant's config")
+    only: Texts | None = Field(
         None, description="the only effects of the plant that are on, or delays; null: as they are"
     )
     damage: Damage | None = Field(None, description="of the simulated drone")
@@ -122,11 +122,11 @@ class Conditions(Section):
     """A list of conditions, and how each of them is flown and tabulated."""
 
     title: str = Field("condition", description="of the column of labels")
-    columns: Words = Field(("finished", "total"), min_length=1, description="of the table, by name")
+    columns: Texts = Field(("finished", "total"), min_length=1, description="of the table, by name")
     across: bool = Field(
         False, description="a column for each condition, of the first of columns, a line per policy"
     )
-    overrides: Words = Field((), description="KEY=VALUE of the race's config, of all conditions")
+    overrides: Texts = Field((), description="KEY=VALUE of the race's config, of all conditions")
     start: Start | None = Field(None, description="of the flights; null: hover")
     deterministic: bool | None = Field(None, description="mean actions; null: samples")
     runs: int | None = Field(None, ge=1, le=MAX_RUNS, description="flights; null: evaluate.runs")
@@ -168,7 +168,7 @@ class Conditions(Section):
             raise ValueError(f"runs is {self.runs}, allowed: multiples of drones ({self.drones})")
         return self
 
-    def resolved(self, config: Config, **arguments: object) -> Self:
+    def resolve(self, config: Config, **arguments: object) -> Self:
         """The list with arguments that are not None; the config says what neither does.
 
         Raises:
@@ -186,20 +186,20 @@ class Conditions(Section):
 
     def replace(self, **changes: object) -> Self:
         """A copy with other values and the same source."""
-        return super().replace(**changes).of_source(self._source)
+        return super().replace(**changes).set_source(self._source)
 
-    def of_source(self, source: str) -> Self:
+    def set_source(self, source: str) -> Self:
         """Set the file or the name with which messages begin; return the list."""
         self._source = source
         return self
 
-    def under(self, condition: Condition) -> Self:
+    def apply(self, condition: Condition) -> Self:
         """The list with the start, the actions and the seed of one of its conditions."""
         choices = {"start": condition.start, "deterministic": condition.deterministic}
         update = {key: value for key, value in choices.items() if value is not None}
         return self.model_copy(update=update | {"seed": self.seed + condition.seed})
 
-    def of(
+    def expand(
         self, config: Config, plant: PlantConfig | None = None
     ) -> Iterator[tuple[Condition, Config, PlantConfig | None]]:
         """Each condition, its race, and its plant.
@@ -213,7 +213,7 @@ class Conditions(Section):
         with prefixed(self._source):
             races = list(self._races(config))
             for condition, race in races:
-                left_out = len(races) > 1 and self.under(condition).start != "hover"
+                left_out = len(races) > 1 and self.apply(condition).start != "hover"
                 yield condition, race, None if plant and left_out else condition.on_plant(plant)
 
     def _races(self, config: Config) -> Iterator[tuple[Condition, Config]]:
@@ -247,7 +247,7 @@ def read_conditions(
         InputError: an unreadable file, an unknown key or label, or a value that is not allowed.
     """
     if isinstance(source, (str, Path)):
-        source = load_section(Conditions, source, FOLDER).of_source(str(source))
+        source = load_section(Conditions, source, FOLDER).set_source(str(source))
     elif not isinstance(source, Conditions):
         source = Conditions(conditions=tuple(source))
     if only is None:
@@ -261,22 +261,22 @@ def read_conditions(
     return source.replace(conditions=tuple(by_label[label] for label in only))
 
 
-def changed(config: Config, words: Sequence[str]) -> Config:
+def changed(config: Config, overrides: Sequence[str]) -> Config:
     """A config with ``KEY=VALUE`` overrides; a value replaces the whole of what the key names.
 
     Raises:
         InputError: an unknown key, or a value that is not allowed.
     """
-    for word in words:
-        key, equals, text = word.partition("=")
+    for override in overrides:
+        key, equals, text = override.partition("=")
         if not equals:
-            raise InputError(f"{word} is not of the form key=value")
+            raise InputError(f"{override} is not of the form key=value")
         value = parse_yaml(text, key)
         if key == "track" and isinstance(value, str):
             config = with_track(config, value)
             continue
         if key == "vehicle" and isinstance(value, str):
-            value = load_config("e2e", [word]).vehicle
+            value = load_config("e2e", [override]).vehicle
         with prefixed(key):
             config = config.at(key, value)
     return config

@@ -16,8 +16,8 @@ from quadjax.evaluation.table import counted
 from quadjax.training.result import read_metrics
 
 Metrics = Mapping[str, np.ndarray]  # column name -> (rows,)
-ACROSS = {"seconds": ("wall time (s)", 1.0), "steps": ("environment steps (millions)", 1e-6)}
-UPWARDS = {
+X_AXES = {"seconds": ("wall time (s)", 1.0), "steps": ("environment steps (millions)", 1e-6)}
+Y_AXES = {
     "reward": "reward per step",
     "lap_total": "score: all laps (s)",
     "episode_reward": "reward of an episode",
@@ -32,7 +32,7 @@ def training_figure(
     groups: Mapping[str, Metrics | Sequence[Metrics]],
     title: str = "",
     *references: tuple[str, float] | None,
-    upwards: Mapping[str, str] = UPWARDS,
+    upwards: Mapping[str, str] = Y_AXES,
 ) -> Figure:
     """Reward, lap time and crash rate against wall time and environment steps.
 
@@ -55,12 +55,12 @@ def training_figure(
         raise InputError(f"{len(groups)} groups of runs to draw, allowed: 1 to {len(COLORS)}")
     metrics = {k: [runs] if isinstance(runs, Mapping) else runs for k, runs in groups.items()}
     first: Metrics = next((run for runs in metrics.values() for run in runs), {})
-    across = [name for name in ACROSS if name in first]
+    across = [name for name in X_AXES if name in first]
     rows = [x for x in upwards if x in first and (len(upwards) == 1 or np.isfinite(first[x]).any())]
     if not across or not rows:
         raise InputError(
             f"metrics have the columns {', '.join(first) or 'none'}; expected one of "
-            f"{', '.join(ACROSS)} and one of {', '.join(upwards)}"
+            f"{', '.join(X_AXES)} and one of {', '.join(upwards)}"
         )
     figure = new_figure(4.6 * len(across) + 0.6, max(4.2, 2.1 * len(rows) + 0.7))
     grid = figure.subplots(len(rows), len(across), sharex="col", sharey="row", squeeze=False)
@@ -75,7 +75,7 @@ def training_figure(
                 _lap_axis(axes, times, [reference for reference in references if reference])
         line[0].set_ylabel(upwards[up], color=INK)
     for along, axes in zip(across, grid[-1], strict=True):
-        axes.set_xlabel(ACROSS[along][0], color=INK)
+        axes.set_xlabel(X_AXES[along][0], color=INK)
         axes.set_xlim(left=0.0)
     head(grid[0][0], title, columns=3)
     return figure
@@ -84,7 +84,7 @@ def training_figure(
 def _draw_runs(
     axes: Axes, runs: Sequence[Metrics], along: str, up: str, color: str, label: str
 ) -> None:
-    unit = ACROSS[along][1]
+    unit = X_AXES[along][1]
     if len(runs) == 1:
         x, y = runs[0][along] * unit, runs[0][up]
         fine = np.isfinite(x) & np.isfinite(y)
@@ -147,14 +147,14 @@ def learning_figure(groups: Mapping[str, Sequence[Path]], code: Collection[str] 
     check_lengths(lengths)
     references = dict.fromkeys(published) if all(published) else ()
     laps = {"lap_total": f"score: {next(iter(lengths.values()), '')} (s)"}
-    upwards = {score: (UPWARDS | laps)[score]}
+    upwards = {score: (Y_AXES | laps)[score]}
     title = "median over seeds; shaded from the fastest to the slowest"
     return training_figure(metrics, title, *references, upwards=upwards)
 
 
 def _metrics(path: Path, score: str) -> Metrics:
     columns = read_metrics(path)
-    missing = [column for column in (*ACROSS, score) if column not in columns]
+    missing = [column for column in (*X_AXES, score) if column not in columns]
     if missing:
         raise InputError(f"{path}: no column {', '.join(missing)}")
     return columns

@@ -41,7 +41,7 @@ def evaluate(
     tracks: bool | None = None,
     name: str | None = None,
     body_radius: float | None = None,
-    actor: Actor = pilot.fly,
+    actor: Actor = pilot.act,
     progress: Callable[[str], object] = lambda text: None,
 ) -> "Evaluation":
     """Time the flights of a policy by the rules of a race.
@@ -72,7 +72,7 @@ def evaluate(
         body_radius: radius of the drone, m, in place of ``rules.body_radius``; a gate is then
             tested where the line between two samples crosses its plane (``rules.gate_test:
             interpolated``).
-        actor: computes the actions; see ``quadjax.policy.pilot.fly``.
+        actor: computes the actions; see ``quadjax.policy.pilot.act``.
         progress: called with the label of each condition before it is flown.
 
     Raises:
@@ -91,14 +91,14 @@ def evaluate(
     listed = read_conditions((Condition(label="-"),) if conditions is None else conditions)
     numbers = {"runs": runs, "laps": laps, "gates": gates, "seconds": seconds, "seed": seed}
     choices = {"deterministic": deterministic, "start": start, "tracks": tracks, "drones": drones}
-    protocol = listed.resolved(config, **numbers, **choices)
+    protocol = listed.resolve(config, **numbers, **choices)
     if not isinstance(plant, PlantConfig) and (plant := plant or protocol.plant) is not None:
         plant = load_plant_config(plant)
     if plant is None and protocol.drones is not None:
         raise InputError(f"drones is {protocol.drones}, allowed: null without a plant")
-    if plant is not None and actor is not pilot.fly:
+    if plant is not None and actor is not pilot.act:
         raise InputError("actor is not None, allowed: without a plant")
-    flying = list(protocol.of(config, plant))
+    flying = list(protocol.expand(config, plant))
     left_out = [c.label for c, _, drone in flying if plant is not None and drone is None]
     if len(left_out) == len(flying):
         raise InputError("plant: no condition starts from hover, allowed: start=hover")
@@ -107,7 +107,7 @@ def evaluate(
         if condition.label in left_out:
             continue
         progress(name if conditions is None else f"{name}: {condition.label}")
-        flown = protocol.under(condition)
+        flown = protocol.apply(condition)
         if drone is None:
             row = simulate(network, name, (config, race), condition, flown, actor)
         else:

@@ -23,7 +23,7 @@ from quadjax.race.track import GateSection
 Groups = Mapping[str, Sequence[Flight]]
 UP = np.array([1.0, 1.0, -1.0])  # NED to north, east, height
 ELEVATION_DEG, AZIMUTH_DEG = 28.0, -62.0  # deg, of the view in perspective
-ACROSS = 4  # groups next to each other
+GROUPS_PER_ROW = 4  # groups next to each other
 MAX_DRAWN_FLIGHTS = 5  # flights of a group that are all drawn; of more the fastest one
 DARKEST, LIGHTEST = 0.0, 0.78  # of the color map: lines that are lighter do not show on white
 SAME_PLACE_M = 0.3  # between gates that share a label
@@ -32,7 +32,7 @@ ACTUATORS = {"rpm": "propeller speed (rpm)", "m/s^2": "specific thrust (m/s²)"}
 ARROW = 0.055  # length of the arrow of a gate, of the longest side of the figure
 
 
-def colors_of(groups: Mapping[str, object]) -> dict[str, tuple[float, ...]]:
+def choose_colors(groups: Mapping[str, object]) -> dict[str, tuple[float, ...]]:
     """A color for each group, evenly spaced in a perceptually uniform map."""
     places = np.linspace(DARKEST, LIGHTEST, max(len(groups), 2))
     return dict(zip(groups, matplotlib.colormaps["viridis"](places).tolist(), strict=False))
@@ -60,7 +60,7 @@ def trajectory_figure(
     }
     every = [flight for group in selected.values() for flight in group]
     limits = _extent(every, gates)
-    size, columns = limits[1] - limits[0], min(len(selected), ACROSS)
+    size, columns = limits[1] - limits[0], min(len(selected), GROUPS_PER_ROW)
     alone, blocks = columns == 1, -(-len(selected) // columns)
     scale = min(8.0 / size[0], 7.0 / (size[1] + size[2])) if alone else 9.0 / columns / size[0]
     tall = scale * (size[1] + size[2]) + (1.6 if alone else 0.75)

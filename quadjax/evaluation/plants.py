@@ -16,19 +16,19 @@ from quadjax.flights.flight import MOTORS, Flight, Signal
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flight import Plan
 from quadjax.plant.flights import (
-    Flights,
+    PlantFlights,
+    extract_rows,
     fly_plan,
     log_quantities,
     plan_race,
     race_config,
     recorded_flights,
-    rows,
 )
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
 from quadjax.vehicle.registry import base_model
 
-RECORDED = 5  # flights of a plant that are recorded
+MAX_RECORDED = 5  # flights of a plant that are recorded
 MOTOR_COMMAND = "motor_command"  # signal of a flight on the plant: commanded rotor speeds, rpm
 
 
@@ -62,7 +62,7 @@ def fly_plants(
         name,
         lap_count=protocol.laps,
         runs=runs,
-        recorded=RECORDED,
+        recorded=MAX_RECORDED,
         deterministic=bool(protocol.deterministic),
         drones=count,
     )
@@ -72,7 +72,7 @@ def fly_plants(
         result, constants = [], race_config(race, policy).vehicle.constants
         recorded = recorded_flights(flown, race.track.gates, base_model(policy.vehicle))
         for run, flight in enumerate(recorded):
-            command = Signal(rows(flown, flown.frames.rpm_command, run), "rpm", MOTORS)
+            command = Signal(extract_rows(flown, flown.frames.rpm_command, run), "rpm", MOTORS)
             flight = flight.replace(signals=flight.signals | {MOTOR_COMMAND: command})
             result.append(flight.of_drone(constants))
         return result
@@ -84,10 +84,10 @@ def fly_plants(
     return Row(name, by_drone, label, count, None, None, record, published, best, share)
 
 
-def _limit_share(flown: Flights, drone: Vehicle) -> float:
+def _limit_share(flown: PlantFlights, drone: Vehicle) -> float:
     """Share of the motor commands of the recorded flights that are at a limit of the drone."""
     constants, count = drone.with_model("motor").constants, flown.frames.over.shape[1]
-    commands = [rows(flown, flown.frames.rpm_command, run) for run in range(count)]
+    commands = [extract_rows(flown, flown.frames.rpm_command, run) for run in range(count)]
     command, low, high = np.concatenate(commands), constants["rpm_min"], constants["rpm_max"]
     return float(((command <= low + 1.0) | (command >= high - 1.0)).mean())
 

@@ -13,7 +13,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.plotting import INK, MUTED, PAPER, headline, new_figure, save_figure, tidy
 from quadjax.core.provenance import provenance
-from quadjax.evaluation.figures import MAX_DRAWN_FLIGHTS, Groups, colors_of, trajectory_figure
+from quadjax.evaluation.figures import MAX_DRAWN_FLIGHTS, Groups, choose_colors, trajectory_figure
 from quadjax.evaluation.responses import Response, error_figure, response
 from quadjax.evaluation.table import Format, counted, flights_table
 from quadjax.flights.flight import Flight, fastest
@@ -72,7 +72,7 @@ class Report:
         within 1.5 times their range, and a dot for each flight. Flights that did not finish count
         in the laps that they completed.
         """
-        colors, names = colors_of(self.groups), list(self.groups)
+        colors, names = choose_colors(self.groups), list(self.groups)
         count = max(len(f.lap_times) for flights in self.groups.values() for f in flights)
         columns: dict[str, list[Sequence[float]]] = {
             "lap 1 (s)": [[t for f in v for t in f.lap_times[:1]] for v in self.groups.values()],
@@ -112,7 +112,7 @@ class Report:
         The first is that of the flights that pass the most gates: one that crashed may have been
         ahead.
         """
-        colors, gates = colors_of(self.groups), len(self.gates)
+        colors, gates = choose_colors(self.groups), len(self.gates)
         figure = new_figure(9.6, 4.2)
         axes = figure.add_subplot()
         tidy(axes)

@@ -193,7 +193,7 @@ def flight_title(flight: Flight) -> str:
     return f"{title}, then {flight.crash}" if flight.crash else title
 
 
-def joined(evaluations: Sequence[Evaluation]) -> Evaluation:
+def merge_evaluations(evaluations: Sequence[Evaluation]) -> Evaluation:
     """The rows of several evaluations of one race: of policies, or of one with other actions.
 
     Policies of one label have their files as labels.

@@ -16,7 +16,7 @@ from quadjax.race.environment import Race
 from quadjax.race.laps import OUT_OF_TIME, Laps, LapState
 from quadjax.race.types import RaceParams
 
-NAMED = 8  # runs that ended alike, of which the numbers are named
+MAX_NAMED_RUNS = 8  # runs that ended alike, of which the numbers are named
 CONFIDENCE = 0.95  # of an interval
 
 
@@ -180,7 +180,7 @@ def concatenate(laps: Sequence[Laps]) -> Laps:
 def describe_crashes(laps: Laps) -> list[str]:
     """One line for each reason and lap in which runs ended early.
 
-    Up to ``NAMED`` runs are listed by their numbers, from 1.
+    Up to ``MAX_NAMED_RUNS`` runs are listed by their numbers, from 1.
     """
     completed = laps.laps_completed()
     ways: dict[str, list[int]] = {}
@@ -190,7 +190,7 @@ def describe_crashes(laps: Laps) -> list[str]:
     lines = []
     for how, runs in ways.items():
         who = f"{len(runs)} runs"
-        if len(runs) <= NAMED:
+        if len(runs) <= MAX_NAMED_RUNS:
             who = f"run{'s' * (len(runs) > 1)} {', '.join(str(run + 1) for run in runs)}"
         first, last = (f"{end(laps.seconds[runs]):.2f}" for end in (np.min, np.max))
         lines.append(f"{who}: {how} after {first}{f' to {last}' * (last != first)} s")

@@ -41,7 +41,7 @@ def simulate(
     configs: tuple[Config, Config],
     condition: Condition,
     protocol: Conditions,
-    actor: Actor = pilot.fly,
+    actor: Actor = pilot.act,
 ) -> Row:
     """Simulate the flights of a policy under a condition.
 
@@ -68,7 +68,7 @@ def simulate(
         tracks = unseen_tracks(modeled, protocol.runs or 1)
         label = f"{tracks.seed} to {tracks.seed + tracks.count - 1}"
         config = config.replace(randomization=config.randomization.replace(tracks=tracks))
-    environment, params = pilot.fit_race(*make_race(config), policy, name)
+    environment, params = pilot.adapt_race(*make_race(config), policy, name)
     layouts = params.tracks if protocol.tracks else None
     ready = pilot.make_pilot(policy, bool(protocol.deterministic))
     params = without_training_limits(environment.model, params)

@@ -145,13 +145,13 @@ def _format_of(path: Path) -> LogsConfig:
 
 
 def load_groups(
-    words: Sequence[str], track: TrackSection, logs: LogsConfig | None = None
+    arguments: Sequence[str], track: TrackSection, logs: LogsConfig | None = None
 ) -> dict[str, list[Flight]]:
-    """Recorded flights of ``LABEL=FILE`` words, by label, each with at least one passage.
+    """Recorded flights of ``LABEL=FILE`` arguments, by label, each with at least one passage.
 
     Args:
-        words: files or glob patterns; without a label, that of a file is its stem. Several with one
-            label are one group.
+        arguments: files or glob patterns; without a label, that of a file is its stem. Several
+            with one label are one group.
         track: that was flown.
         logs: columns and units of the logs; None: those of a known format, by the header.
 
@@ -159,15 +159,15 @@ def load_groups(
         InputError: no such file, or one that cannot be read.
     """
     groups: dict[str, list[Flight]] = {}
-    for word in words:
-        label, equals, pattern = word.partition("=")
-        label, pattern = (label.strip(), pattern) if equals else ("", word)
+    for argument in arguments:
+        label, equals, pattern = argument.partition("=")
+        label, pattern = (label.strip(), pattern) if equals else ("", argument)
         if equals and not label:
-            raise InputError(f"{word}: expected LABEL=FILE")
+            raise InputError(f"{argument}: expected LABEL=FILE")
         file = str(Path(pattern).expanduser())  # whose name may have the characters of a pattern
         paths = [file] if os.path.isfile(file) else sorted(glob.glob(file))
         if not pattern:
-            raise InputError(f"{word or repr(word)}: expected LABEL=FILE")
+            raise InputError(f"{argument or repr(argument)}: expected LABEL=FILE")
         if not paths:
             raise InputError(f"{pattern}: no such file")
         if len(paths) > MAX_FILES:

@@ -18,7 +18,7 @@ from quadjax.flights.flight import Flight, fastest
 
 Format = Literal["text", "markdown", "latex"]
 WIDEST_LABEL = 40  # columns of the first column as text; longer labels are wrapped
-LISTED = 10  # flights of a group that have a line each
+MAX_LISTED_FLIGHTS = 10  # flights of a group that have a line each
 BOLD = re.compile(r"^\*(.*)\*$")
 SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 
@@ -51,7 +51,7 @@ class Table:
             if len(row) == 1:
                 grid.add_section()
             grid.add_row(*map(Text, row))
-        return "\n".join([*markdown.lines_of(grid), *self.notes])
+        return "\n".join([*markdown.render_lines(grid), *self.notes])
 
     def _markdown(self) -> str:
         rows = [[*row, *[""] * (len(self.titles) - len(row))] for row in self.rows]
@@ -140,7 +140,7 @@ def flights_table(groups: Mapping[str, Sequence[Flight]]) -> Table:
         rows.append([group])
         done = [f for f in flights if np.isfinite(f.total) and len(f.lap_times) == count]
         best, listed = fastest(flights), flights
-        if len(flights) > LISTED:
+        if len(flights) > MAX_LISTED_FLIGHTS:
             listed = [best, max(done, key=lambda f: f.total)] if len(done) > 1 else [best]
         for flight in listed:
             total = flight.total if len(flight.lap_times) == count else math.nan

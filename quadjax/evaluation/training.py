@@ -19,7 +19,7 @@ from quadjax.evaluation.advice import look, next_step
 from quadjax.evaluation.curves import check_lengths, learning_figure, training_figure
 from quadjax.evaluation.evaluate import evaluate
 from quadjax.evaluation.published import first_under, published_total
-from quadjax.evaluation.result import Evaluation, joined
+from quadjax.evaluation.result import Evaluation, merge_evaluations
 from quadjax.policy.file import Policy
 from quadjax.training.folder import check_same
 from quadjax.training.result import Run, is_finished, read_metrics, read_summary
@@ -54,7 +54,7 @@ def write_evaluation(run: Run) -> str:
         write_json(folder / f"{file}.json", result.to_json())
         results.append(result)
     save_figure(result.plot(), folder / "trajectory.png")
-    lines = [joined(results).table()]
+    lines = [merge_evaluations(results).table()]
     if len(metrics["steps"]):
         curves = training_figure({config.name: metrics}, config.name, published)
         save_figure(curves, folder / "curves.png")
@@ -114,7 +114,7 @@ def _amount(number: int) -> str:
     return f"{number / 1e6:.1f} million" if number >= 1e5 else f"{number:,}"
 
 
-def configs_of(files: Sequence[str], overrides: Sequence[str]) -> dict[str, Config]:
+def load_configs(files: Sequence[str], overrides: Sequence[str]) -> dict[str, Config]:
     """Configs by their names.
 
     Raises:
@@ -157,9 +157,9 @@ def train_seeds(
         and its JSON file.
 
     Raises:
-        InputError: as ``configs_of`` and ``train_once``.
+        InputError: as ``load_configs`` and ``train_once``.
     """
-    configs = configs_of(files, overrides)
+    configs = load_configs(files, overrides)
     groups: dict[str, list[Path]] = {}
     for file, name in zip(files, configs, strict=True):
         changes = [[f"seed={seed}", f"name={name}_seed{seed}"] for seed in seeds]
@@ -255,4 +255,4 @@ def format_seeds(results: Sequence[tuple[dict[str, Any], Evaluation]]) -> str:
     for numbers, _ in results:
         cells = ((numbers[key], scale, form) for key, (_, scale, form) in columns.items())
         rows.append(["-" if x is None else f"{scale * x:{form}}" for x, scale, form in cells])
-    return f"{table(rows)}\n\n{joined([flights for _, flights in results]).table()}"
+    return f"{table(rows)}\n\n{merge_evaluations([flights for _, flights in results]).table()}"

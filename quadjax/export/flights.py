@@ -61,7 +61,7 @@ def simulate(race: PolicyRace, runs: int = RUNS, laps: int = LAPS, seed: int = S
 
     The rows are those of all flights but the ones that lost control, or of all if every one did.
     """
-    result, trace = _fly(race, pilot.fly, runs, laps, seed, trace=True)
+    result, trace = _fly(race, pilot.act, runs, laps, seed, trace=True)
     assert trace is not None
     controlled = np.array([crash not in LOST_CONTROL for crash in result.crashes])
     going = ~np.asarray(trace.over) & (controlled if controlled.any() else ~controlled)
@@ -131,7 +131,7 @@ def fly_float_and_fixed(
     runs: int,
 ) -> tuple[Laps, Laps]:
     """Flights of six laps of the float policy and of the fixed-point one, from the same starts."""
-    actors = (pilot.fly, fixed_point_fly(policy, ranges))
+    actors = (pilot.act, fixed_point_fly(policy, ranges))
     as_float, as_fixed = (_fly(race, actor, runs, laps=6, seed=1)[0] for actor in actors)
     return as_float, as_fixed
 

@@ -8,7 +8,7 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.export.names import RESIDUAL_FILE
 from quadjax.policy.file import Policy
-from quadjax.policy.pilot import Pilot, fit_race, make_pilot
+from quadjax.policy.pilot import Pilot, adapt_race, make_pilot
 from quadjax.policy.race import differences, own_race
 from quadjax.race.environment import Race
 from quadjax.race.observation_config import ESTIMATED
@@ -70,7 +70,7 @@ def policy_race(config: Config, policy: Policy, origin: str, name: str = "policy
         config = config.at("observation.highest_rpm", ESTIMATED)  # as on board
     environment, params = make_environment(config), make_params(config)
     try:
-        environment, params = fit_race(environment, params, policy, name)
+        environment, params = adapt_race(environment, params, policy, name)
     except InputError as error:
         raise InputError(f"{origin}: {error}") from None
     params, pilot = params.replace(heading=None), make_pilot(policy, deterministic=True)

@@ -20,13 +20,13 @@ SEPARATED = 0.8  # of the R^2, below which common constants do not explain what 
 ROTORS = "1234"  # ends of the names of a constant of each rotor
 
 
-def fit_axes(samples: Samples, base: Constants, common: Set[str] = frozenset()) -> list[Estimate]:
+def fit_axes(samples: Samples, base: Constants, shared: Set[str] = frozenset()) -> list[Estimate]:
     """Fit every axis of a nominal model.
 
     Args:
         samples: see ``prepare``, of the same model.
         base: values of constants without evidence; their type selects the model.
-        common: names of constants whose base value is that common to the rotors of these samples.
+        shared: names of constants whose base value is that common to the rotors of these samples.
     """
     equations, values = EQUATIONS[type(base)], values_of(base)
     numbers = np.unique(samples.flight)
@@ -47,13 +47,13 @@ def fit_axes(samples: Samples, base: Constants, common: Set[str] = frozenset()) 
                 columns=samples.regressors[axis],
                 noise=samples.noise[axis],
             ),
-            common,
+            shared,
         )
         for axis, names in equations.constants.items()
     ]
 
 
-def _solve_axis(problem: Problem, common: Set[str]) -> Estimate:
+def _solve_axis(problem: Problem, shared: Set[str]) -> Estimate:
     """An axis, with values common to the rotors for those that the flight does not separate.
 
     Rotors that move together, and a moment that the model lacks, give constants of an impossible
@@ -61,7 +61,7 @@ def _solve_axis(problem: Problem, common: Set[str]) -> Estimate:
     """
     free = estimate = solve(problem)
     fixed: set[str] = set()
-    while wrong := common & set(estimate.negated):
+    while wrong := shared & set(estimate.negated):
         fixed |= wrong
         parameters = [p._replace(fixed=p.name in fixed) for p in problem.parameters]
         estimate = solve(dataclasses.replace(problem, parameters=parameters))
@@ -94,13 +94,13 @@ def nominal_error(samples: Samples, constants: Constants) -> np.ndarray:
     return samples.measured - np.stack(modeled, axis=1)
 
 
-def common_values(samples: Samples) -> dict[str, float]:
+def fit_shared_constants(samples: Samples) -> dict[str, float]:
     """Constants of the rotors of a racing quadcopter, by name, of values common to all four.
 
     They are the values of rotors that the logs do not tell apart. Common values that are not above
     zero are left out.
     """
-    common: dict[str, float] = {}
+    shared: dict[str, float] = {}
     for axis, names in EQUATIONS[RacingConstants].constants.items():
         stems = list(dict.fromkeys(name.rstrip(ROTORS) for name in names))
         if len(stems) == len(names):
@@ -112,8 +112,8 @@ def common_values(samples: Samples) -> dict[str, float]:
         size = np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-12)
         values = np.linalg.lstsq(columns / size, target - target.mean(), rcond=1e-6)[0] / size
         for stem, value in zip(stems, values, strict=True):
-            common |= {f"{stem}{rotor}": float(value) for rotor in ROTORS if value > 0.0}
-    return common
+            shared |= {f"{stem}{rotor}": float(value) for rotor in ROTORS if value > 0.0}
+    return shared
 
 
 class Prediction(struct.PyTreeNode, Rows):

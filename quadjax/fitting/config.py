@@ -21,7 +21,7 @@ from quadjax.core.sections import (
     model_validator,
 )
 from quadjax.core.yaml_files import Tree, parse_overrides
-from quadjax.fitting.formats import ALLOWED, FORMATS, QUANTITIES, RPM
+from quadjax.fitting.formats import ALLOWED, FORMATS, QUANTITIES, RPM_PER_RAD_S
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.vehicle_file import VehicleFile
 
@@ -230,9 +230,9 @@ def with_body(base: VehicleFile, body: BodyConfig, model: str = "motor") -> Vehi
     values = dict(values_of(base.constants(model)))
     same = model == "racing" or body.inertia == "base"
     if body.rpm_range is not None:
-        names, unit = (
-            (("w_min", "w_max"), RPM) if model == "racing" else (("rpm_min", "rpm_max"), 1)
-        )
+        names, unit = ("rpm_min", "rpm_max"), 1.0
+        if model == "racing":
+            names, unit = ("w_min", "w_max"), RPM_PER_RAD_S
         values |= {name: rpm / unit for name, rpm in zip(names, body.rpm_range, strict=True)}
     if not same:
         if body.inertia is None:

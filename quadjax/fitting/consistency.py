@@ -25,7 +25,7 @@ from quadjax.fitting.identities import (
     Change,
     Evidence,
     Signals,
-    signals_of,
+    filter_signals,
 )
 from quadjax.fitting.magnitudes import scale_hint
 from quadjax.fitting.motor_evidence import TYPICAL_LAG_S, MotorEvidence, typical_speeds
@@ -71,7 +71,7 @@ def check_consistency(
         InputError: columns of which a change explains the log much better, in one line.
     """
     form = next((form for form in ATTITUDES if form in names), "")
-    signals = signals_of(_with_motors(quantities, rate), flying, rate)
+    signals = filter_signals(_with_motors(quantities, rate), flying, rate)
     if signals is None:
         return [f"{_listed(names[name])} (a short flight)" for name in CHECKED if name in names]
     commands = names.get("motor_command", [])

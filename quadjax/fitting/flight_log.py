@@ -23,12 +23,12 @@ from quadjax.fitting.magnitudes import check_attitude, check_columns, check_time
 from quadjax.fitting.quantities import (
     called,
     check_motors,
+    convert_quantities,
     evenly,
+    find_units,
     further_motors,
-    quantities_of,
     second_sensors,
     to_standard_frames,
-    units_of,
     wanted_columns,
 )
 from quadjax.flights.flight import AXES, MOTORS, RATES, Flight, Signal, motion_signals
@@ -182,8 +182,8 @@ def _flight(table: LogTable, config: LogsConfig) -> Flight:
     form, path = log_format(config.format), table.path
     names = wanted_columns(path, config, form, list(table.columns))
     left_out = [*table.left_out, *check_motors(table, names, config)]
-    units = units_of(table, names, config, form)
-    quantities = quantities_of(table, names, units, config, form)
+    units = find_units(table, names, config, form)
+    quantities = convert_quantities(table, names, units, config, form)
     check_time(table, names, quantities, config)
     check_attitude(table, names, quantities)
     if form.adjust is not None:

@@ -22,7 +22,7 @@ from quadjax.fitting.log_table import LogTable
 Quantities = dict[str, np.ndarray]
 Names = Mapping[str, list[str]]  # of columns, by quantity
 Units = Mapping[str, tuple[str, float]]  # names, "" for a number, and factors, by quantity
-RPM = 30.0 / math.pi  # of 1 rad/s
+RPM_PER_RAD_S = 30.0 / math.pi
 FLIP = np.array([1.0, -1.0, -1.0])  # FLU <-> FRD
 ENU = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 TO_NED = {"NED": Rotation.identity(), "ENU": ENU}  # from the world frame of a log
@@ -70,7 +70,14 @@ COMMANDS = ("rpm_command", "motor_command", "rate_command", "thrust_command")
 UNITS: dict[str, dict[str, float]] = {  # factors to the first unit of each kind
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
     # electrical speeds: of one pair of poles
-    "rpm": {"rpm": 1.0, "krpm": 1e3, "rad/s": RPM, "Hz": 60.0, "erpm": 1.0, "erpm/100": 100.0},
+    "rpm": {
+        "rpm": 1.0,
+        "krpm": 1e3,
+        "rad/s": RPM_PER_RAD_S,
+        "Hz": 60.0,
+        "erpm": 1.0,
+        "erpm/100": 100.0,
+    },
     "gyro": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
     "acceleration": {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3},
     "velocity": {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001},
@@ -120,7 +127,7 @@ def names(pattern: str, suffixes: str = "xyz") -> list[str]:
     return [pattern.replace("*", suffix) for suffix in suffixes]
 
 
-def numbers_of(settings: Mapping[str, str], name: str) -> list[float]:
+def parse_numbers(settings: Mapping[str, str], name: str) -> list[float]:
     """The numbers in the value of a setting; none without it."""
     return [float(word) for word in re.findall(r"-?\d+(?:\.\d+)?", settings.get(name, ""))]
 
@@ -131,7 +138,7 @@ def blackbox_setting(settings: Mapping[str, str], name: str) -> float:
     Raises:
         InputError: a value that is not a number from 0 on.
     """
-    numbers = numbers_of(settings, name) if name in settings else [0.0]
+    numbers = parse_numbers(settings, name) if name in settings else [0.0]
     if len(numbers) != 1 or numbers[0] < 0.0:
         raise InputError(f"setting {name} is {settings[name]!r:.80}, allowed: a number from 0 on")
     return numbers[0]

@@ -69,7 +69,7 @@ class Signals:
         return low_pass(values, self.rate, min(BAND_HZ, 0.4 * self.rate), axis=-2)
 
 
-def signals_of(quantities: Arrays, flying: np.ndarray, rate: float) -> Signals | None:
+def filter_signals(quantities: Arrays, flying: np.ndarray, rate: float) -> Signals | None:
     """The signals of quantities (n, k), sampled at Hz; None for a flight that is too short."""
     airborne = np.flatnonzero(flying)
     if not len(airborne):

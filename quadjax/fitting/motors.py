@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from quadjax.fitting.axes import fit_axes
-from quadjax.fitting.formats import RPM
+from quadjax.fitting.formats import RPM_PER_RAD_S
 from quadjax.fitting.lags import (
     BETWEEN,
     TAU_RANGE_S,
@@ -70,7 +70,7 @@ class BatteryFit:
     converged: bool = True  # false if the solver stopped at its limit of steps
 
 
-def drain_of(battery: BatteryConfig) -> float:
+def compute_drain(battery: BatteryConfig) -> float:
     """Decrease of the highest speed per second of hover, rpm/s, by a battery's capacity."""
     assert battery.rpm_full is not None
     part = battery.hover_current / (3600.0 * battery.capacity)
@@ -145,7 +145,7 @@ def _fit_limit(
         parameters=[
             tau,
             Parameter("sag", sag, size=1000.0, **physical),
-            Parameter("drain", drain_of(base), fixed=not has_drain, **physical),
+            Parameter("drain", compute_drain(base), fixed=not has_drain, **physical),
             *starts,
         ],
     )
@@ -207,10 +207,10 @@ def with_simulated_speeds(log: Flight, values: np.ndarray, between: float = 0.0)
     if "actuators" in log.signals:
         return log
     command = log["motor_command"]
-    start = RPM * steady_speeds(values, command[0])
+    start = RPM_PER_RAD_S * steady_speeds(values, command[0])
     if between:
         command = partly(command, between_rows(command), between)
-    steady = RPM * steady_speeds(values, command)
+    steady = RPM_PER_RAD_S * steady_speeds(values, command)
     rpm = first_order(steady, start, values[0], 1.0 / log.sample_rate)
     return log.replace(signals=log.signals | {"actuators": Signal(rpm, "rpm", MOTORS)})
 
@@ -234,7 +234,7 @@ def fit_motors(
         for log, used in flights
         if "actuators" in log.signals
     ]
-    measured = [part._replace(measured=part.measured / RPM) for part in signals]
+    measured = [part._replace(measured=part.measured / RPM_PER_RAD_S) for part in signals]
     if measured:
         high = max(*(float(part.measured.max()) for part in measured), values["w_max"])
         limits = {"w_min": (0.0, 0.9 * high), "w_max": (0.1 * high, 10.0 * high)}

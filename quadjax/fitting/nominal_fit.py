@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.fitting.axes import common_values, fit_axes, nominal_error, with_estimates
+from quadjax.fitting.axes import fit_axes, fit_shared_constants, nominal_error, with_estimates
 from quadjax.fitting.config import FitConfig, check_keys
 from quadjax.fitting.flight_log import highest_speed
 from quadjax.fitting.lags import BETWEEN
@@ -91,8 +91,8 @@ class NominalFits:
         if samples is None:
             samples = prepare(logs, base, self.rows)
         used = samples[self.split.rows(folds)]
-        common = common_values(used) if self.model == "racing" else {}
-        axes = fit_axes(used, replaced(base, common), common.keys())
+        shared = fit_shared_constants(used) if self.model == "racing" else {}
+        axes = fit_axes(used, replaced(base, shared), shared.keys())
         axes = [fit for fit in axes if fit.group in self.config.nominal.axes]
         self._fits[folds] = samples, [*axes, *motors]
         return self._fits[folds]

@@ -21,7 +21,7 @@ from quadjax.fitting.formats import (
     Names,
     Quantities,
     Units,
-    numbers_of,
+    parse_numbers,
 )
 from quadjax.fitting.log_table import (
     LogTable,
@@ -93,10 +93,10 @@ def wanted_columns(
     return wanted
 
 
-def quantities_of(
+def convert_quantities(
     table: LogTable, names: Names, units: Units, config: LogsConfig, form: LogFormat
 ) -> Quantities:
-    """Quantities (n,) or (n, k) in SI, rpm, and motor commands from 0 to 1; see ``units_of``.
+    """Quantities (n,) or (n, k) in SI, rpm, and motor commands from 0 to 1; see ``find_units``.
 
     Raises:
         InputError: a missing column, columns of different lengths, or a number that is not finite.
@@ -163,7 +163,7 @@ def check_motors(table: LogTable, names: Names, config: LogsConfig) -> list[str]
     return beyond
 
 
-def units_of(table: LogTable, names: Names, config: LogsConfig, form: LogFormat) -> Units:
+def find_units(table: LogTable, names: Names, config: LogsConfig, form: LogFormat) -> Units:
     """The unit of each quantity, and its factor to SI or rpm; "" for a number or none.
 
     Raises:
@@ -199,7 +199,7 @@ def _pole_pairs(
     if config.pole_pairs is not None:
         return float(config.pole_pairs)
     setting = form.poles_setting
-    poles = numbers_of(table.settings, setting) if setting else []
+    poles = parse_numbers(table.settings, setting) if setting else []
     if len(poles) == 1 and poles[0] >= 2.0:
         return 0.5 * poles[0]
     head = f", nor has the head of the file a setting {setting}" if setting else ""
@@ -215,7 +215,7 @@ def _motor_range(
     """Motor commands that are 0 and 1: of the log's head, or else of the format."""
     if form.motor_setting not in settings:
         return form.motor_range
-    span = numbers_of(settings, form.motor_setting)
+    span = parse_numbers(settings, form.motor_setting)
     if len(span) != 2 or span[0] >= span[1]:
         raise InputError(
             f"{path}: setting {form.motor_setting} is {settings[form.motor_setting]!r:.80}, "

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from quadjax.core.files import write_json, write_text
-from quadjax.core.markdown import lines_of
+from quadjax.core.markdown import render_lines
 from quadjax.core.plotting import INK, SERIES, head, new_figure, save_figure, tidy
 from quadjax.core.provenance import provenance
 from quadjax.core.yaml_files import to_yaml
@@ -114,7 +114,7 @@ def text_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]])
         table.add_column(Text(name), justify="right" if index else "left", no_wrap=True)
     for row in rows:
         table.add_row(*map(Text, row))
-    return "\n".join([title, *lines_of(table)])
+    return "\n".join([title, *render_lines(table)])
 
 
 def _numbers(result: Fit, part: Prediction) -> dict[str, np.ndarray]:

@@ -54,7 +54,7 @@ def plan_chunks(steps: int, steps_per_chunk: int, steps_per_update: int) -> Plan
 
 
 @dataclasses.dataclass(frozen=True)
-class Progress:
+class ChunkResult:
     """A run after a chunk of updates."""
 
     state: TrainState
@@ -69,7 +69,9 @@ class Progress:
         return {"steps": self.steps, "steps_per_second": self.steps_per_second, **means}
 
 
-def train_chunks(chunk: Chunk, state: TrainState, plan: Plan, done: int = 0) -> Iterator[Progress]:
+def train_chunks(
+    chunk: Chunk, state: TrainState, plan: Plan, done: int = 0
+) -> Iterator[ChunkResult]:
     """Train to the end of the plan, and yield the run after each chunk.
 
     The memory of an earlier state is reused: only the latest one may be read. ``done`` are the
@@ -84,7 +86,7 @@ def train_chunks(chunk: Chunk, state: TrainState, plan: Plan, done: int = 0) -> 
         values = {name: np.asarray(value) for name, value in metrics.items()}
         check_finite(values, steps // plan.steps_per_update)
         speed = plan.steps_per_chunk / (time.monotonic() - started)
-        yield Progress(state, steps + plan.steps_per_chunk, values, speed)
+        yield ChunkResult(state, steps + plan.steps_per_chunk, values, speed)
 
 
 def check_finite(metrics: dict[str, np.ndarray], first_update: int) -> None:

@@ -35,7 +35,7 @@ class Settings:
 
     margin: float = 0.0  # m, further distance from the edges of the openings and the bounds
     reserve: float = 0.0  # fraction of the ranges of commands that is not used
-    turning: float = 1.0  # fraction of the body rates' limits
+    rate_share: float = 1.0  # fraction of the body rates' limits
     smoothness: float = SMOOTHNESS_S  # s, weight of the squared command differences
     seconds: float = 300.0  # limit of wall-clock time
     warm: bool = False  # the guess is close to a solution, as from a coarser mesh
@@ -62,7 +62,8 @@ class Dynamics:
         middle = 0.5 * (x0 + x1) + step / 8.0 * (slope0 - slope1)
         change = step / 6.0 * (slope0 + 4.0 * slope(middle, 0.5 * (u0 + u1)) + slope1)
         # Actuators without a lag: the commands replace them.
-        self.still = np.array([casadi.SX(x).is_zero() for x in casadi.vertsplit(slope0)], bool)
+        slopes = casadi.vertsplit(slope0)
+        self.without_lag = np.array([casadi.SX(x).is_zero() for x in slopes], bool)
         # The defect of Hermite-Simpson collocation, and the body rates in the middle, rad/s.
         results = [x1 - x0 - change, middle[RATES]]
         self.slope = casadi.Function("slope", [x0, u0], [slope0])
@@ -100,11 +101,11 @@ def solve(
     step = casadi.reshape(casadi.repmat(durations.T / count, count, 1), 1, -1)
     interval = dynamics.interval.map(len(guess.states) - 1)
     defect, between = interval(x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], step)
-    moving = np.flatnonzero(~dynamics.still)
-    add_bound(program, defect[moving.tolist(), :] / scales[0][moving], 0.0, 0.0)
-    _add_ends(program, problem, dynamics.still, guess, x, u)
+    lagging = np.flatnonzero(~dynamics.without_lag)
+    add_bound(program, defect[lagging.tolist(), :] / scales[0][lagging], 0.0, 0.0)
+    _add_ends(program, problem, dynamics.without_lag, guess, x, u)
     add_rules(program, problem, x[POSITION, :], x[VELOCITY, :], settings.margin)
-    limit = settings.turning * problem.rate_limit
+    limit = settings.rate_share * problem.rate_limit
     for axis in np.flatnonzero(limit < UNLIMITED_RAD_S):
         rates = casadi.horzcat(x[RATES, 1:], between)[int(axis), :]
         add_bound(program, rates, -limit[axis], limit[axis])
@@ -122,22 +123,23 @@ def solve(
 
 
 def _add_ends(
-    program: Any, problem: Problem, still: np.ndarray, guess: Trajectory, x: Any, u: Any
+    program: Any, problem: Problem, without_lag: np.ndarray, guess: Trajectory, x: Any, u: Any
 ) -> None:
     """The start, or the end of a periodic flight: it equals the start up to a quaternion's sign.
 
     Of the quaternion there, the largest component is left out: the norm determines it.
     """
     start = problem.start[:, None]
-    if still.any():
-        add_bound(program, x[np.flatnonzero(still).tolist(), :], start[still], start[still])
+    if without_lag.any():
+        given = start[without_lag]
+        add_bound(program, x[np.flatnonzero(without_lag).tolist(), :], given, given)
     if not problem.periodic:
         add_bound(program, x[:, 0], start, start)
         return
     first, last = guess.states[0, ATTITUDE], guess.states[-1, ATTITUDE]
     sign = np.ones(len(start))
     sign[ATTITUDE] = 1.0 if first @ last >= 0.0 else -1.0
-    closed = ~still
+    closed = ~without_lag
     closed[ATTITUDE.start + int(np.argmax(np.abs(first)))] = False
     add_bound(program, (x[:, -1] - sign * x[:, 0])[np.flatnonzero(closed).tolist()], 0.0, 0.0)
     add_bound(program, u[:, -1] - u[:, 0], 0.0, 0.0)

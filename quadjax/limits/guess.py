@@ -14,7 +14,7 @@ from quadjax.config.assembly import make_race
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.flights.flight import SIMULATED, recorded_flights
-from quadjax.limits.problem import ACTUATORS, POSITION, Problem, euler_of
+from quadjax.limits.problem import ACTUATORS, POSITION, Problem, to_euler
 from quadjax.limits.trajectory import Trajectory
 from quadjax.limits.verify import passages
 from quadjax.policy import pilot
@@ -133,7 +133,7 @@ def _attitudes(
     pairs = zip(down, [axis, *down[:-1]], strict=True)
     turns = [Rotation.align_vectors(*pair)[0] for pair in pairs]
     attitudes = list(itertools.accumulate(turns, lambda attitude, turn: turn * attitude))
-    yaw = 0.0 if problem.periodic else float(euler_of(problem.start[None])[0, 2])
+    yaw = 0.0 if problem.periodic else float(to_euler(problem.start[None])[0, 2])
     levels = Rotation.concatenate(attitudes) * Rotation.from_rotvec(yaw * axis)
     angle = np.zeros(len(down))
     if along:

@@ -168,7 +168,7 @@ class Problem:
         return np.concatenate([position, velocity, quaternion, rates, actuators], axis=1)
 
 
-def euler_of(vectors: np.ndarray) -> np.ndarray:
+def to_euler(vectors: np.ndarray) -> np.ndarray:
     """Roll, pitch and yaw (n, 3), rad, of states (n, 13 + actuators)."""
     rotation = Rotation.from_quat(vectors[:, ATTITUDE][:, [1, 2, 3, 0]])
     return rotation.as_euler("ZYX")[:, ::-1]
@@ -185,7 +185,7 @@ def double(tree: Tree) -> Tree:
     return jax.tree.map(lambda x: x.astype(np.float64) if x.dtype.kind == "f" else x, arrays)
 
 
-def gates_of(track: Track, radius: float = 0.0) -> Gates:
+def make_gates(track: Track, radius: float = 0.0) -> Gates:
     """The gates of a track, with openings that are smaller by a drone's radius, m, on each side.
 
     Raises:
@@ -231,7 +231,7 @@ def make_problem(
     limits = with_leaves(params.training_limits, episode_steps=np.int32(10**9))
     params = params.replace(rules=rules, training_limits=limits)
     radius = 0.0 if rules.body_radius is None else float(rules.body_radius)
-    gates = gates_of(params.track, radius)
+    gates = make_gates(params.track, radius)
     count = len(gates.position)
     ground = rules.ground_speed
     rates = math.inf if rules.body_rate_limit is None else rules.body_rate_limit

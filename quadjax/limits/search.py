@@ -191,12 +191,12 @@ class Search:
 
 def _wider(settings: Settings, check: Check, widenings: int) -> Settings:
     """More distance from the edges, slower turns, or a reserve of commands for the regulator."""
-    margin, reserve, turning = settings.margin, settings.reserve, settings.turning
-    excess = check.turning * BELOW_RULE  # of a body rate over its limit
+    margin, reserve, rate_share = settings.margin, settings.reserve, settings.rate_share
+    excess = check.rate_share * BELOW_RULE  # of a body rate over its limit
     if 1.0 < excess < LARGEST_EXCESS:
-        turning *= BELOW_RULE / excess
+        rate_share *= BELOW_RULE / excess
     elif check.miss == 0.0 or check.miss > SMALL_MISS_M:
         reserve = max(2.0 * reserve, RESERVE if check.miss < LARGE_MISS_M else FIRM_RESERVE)
     if check.miss > 0.0:
         margin += 1.2 * check.miss + FIRST_WIDENING_M * 4.0**widenings
-    return dataclasses.replace(settings, margin=margin, reserve=reserve, turning=turning)
+    return dataclasses.replace(settings, margin=margin, reserve=reserve, rate_share=rate_share)

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from quadjax.flights.flight import SIMULATED, Flight, Signal, motion_signals, vehicle_signals
 from quadjax.flights.gates import passages_at
-from quadjax.limits.problem import ACTUATORS, POSITION, RATES, VELOCITY, Problem, euler_of
+from quadjax.limits.problem import ACTUATORS, POSITION, RATES, VELOCITY, Problem, to_euler
 from quadjax.race.track import GateSection
 from quadjax.vehicle.protocol import VehicleModel
 
@@ -47,7 +47,7 @@ class Trajectory:
         Gates are those of the track, in order of passage; ``source`` has further facts.
         """
         x = self.states
-        motion = x[:, POSITION], x[:, VELOCITY], euler_of(x), x[:, RATES]
+        motion = x[:, POSITION], x[:, VELOCITY], to_euler(x), x[:, RATES]
         signals = motion_signals(dict(zip(SIMULATED, motion, strict=False)))
         when = np.cumsum(self.leg_times)
         legs = np.arange(len(x)) // self.intervals  # at its end the next one's gate is ahead

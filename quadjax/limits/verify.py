@@ -39,7 +39,7 @@ class Check:
     leg_times: np.ndarray  # (legs,) s, between the gates
     clearance: float  # m, smallest ``Problem.leeway`` of a passage; negative: a gate is missed
     margin: float  # m, smallest distance from the bounds and the ground; negative: outside
-    turning: float  # largest body rate, relative to ``Problem.rate_limit``
+    rate_share: float  # largest body rate, relative to ``Problem.rate_limit``
     feedback: bool  # whether a regulator corrected the solution's commands
     position: np.ndarray  # (steps + 1, 3) m, world
     velocity: np.ndarray  # (steps + 1, 3) m/s, world
@@ -163,7 +163,7 @@ def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedb
     end = 1 + min(int(np.ceil(times.max(initial=0.0) / TIME_STEP_S)), len(commands))
     (lowest, highest), inside = problem.bounds, position[1:end]
     margin = np.concatenate([inside - lowest, highest - inside]).min(initial=np.inf)
-    turning = float(np.max(np.abs(rates[:end]) / problem.rate_limit))
+    rate_share = float(np.max(np.abs(rates[:end]) / problem.rate_limit))
     legs, clearance, path = np.diff(times, prepend=0.0), min(leeways), position[:end]
     error, total = "", float(legs.sum())
     if clearance < 0.0:
@@ -180,7 +180,7 @@ def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedb
     if not error and abs(total - trajectory.total) > TIME_TOLERANCE * trajectory.total:
         error = f"it takes {total:.3f} s instead of {trajectory.total:.3f} s"
     motion = path, velocity[:end], commands[: end - 1]
-    return Check(error, legs, float(clearance), float(margin), turning, feedback, *motion)
+    return Check(error, legs, float(clearance), float(margin), rate_share, feedback, *motion)
 
 
 def _at_rest(problem: Problem, position: np.ndarray, velocity: np.ndarray) -> str:

@@ -20,7 +20,7 @@ from quadjax.plant.indi import PITCH, ROLL, YAW, total
 RPM_UNIT = 1.0e4  # unit of the propeller speeds
 
 
-class Airframe(struct.PyTreeNode):
+class AirframeDeviations(struct.PyTreeNode):
     """The polynomials of one drone."""
 
     low: tuple[jax.Array, ...]  # () of each variable: it enters with at least this
@@ -29,13 +29,13 @@ class Airframe(struct.PyTreeNode):
     terms: tuple[tuple[tuple[int, ...], ...], ...] = struct.field(pytree_node=False)  # variables
 
 
-def make_airframe(config: AirframeConfig) -> Airframe | None:
+def make_airframe(config: AirframeConfig) -> AirframeDeviations | None:
     """The polynomials of a config; None if it has no term."""
     terms = [getattr(config, output) for output in OUTPUTS]
     if not any(terms):
         return None
     limits = [config.limits.get(name, (-math.inf, math.inf)) for name in VARIABLES]
-    return Airframe(
+    return AirframeDeviations(
         low=tuple(jnp.float32(low) for low, _ in limits),
         high=tuple(jnp.float32(high) for _, high in limits),
         coefficients=tuple(tuple(map(jnp.float32, each.values())) for each in terms),
@@ -49,7 +49,7 @@ def variables_of(term: str) -> tuple[int, ...]:
 
 
 def airframe_force_moment(
-    airframe: Airframe, rpm: Rotors, air_velocity: Vec3, rates: Vec3
+    airframe: AirframeDeviations, rpm: Rotors, air_velocity: Vec3, rates: Vec3
 ) -> tuple[jax.Array, Vec3]:
     """What a drone has beyond its model: specific force () along body z, m/s^2, and moment, N m.
 

@@ -13,7 +13,7 @@ from quadjax.core.vectors import Rotors
 from quadjax.plant import gusts, onboard, plant, sensors
 from quadjax.plant.onboard import OnboardParams, OnboardState, StateEstimate
 from quadjax.plant.plant import PlantParams, PlantState
-from quadjax.policy.pilot import Pilot, fly
+from quadjax.policy.pilot import Pilot, act
 from quadjax.race import laps
 from quadjax.race.environment import Race, progressed
 from quadjax.race.episode import hover
@@ -37,7 +37,7 @@ class Plan(struct.PyTreeNode):
     charge: tuple[jax.Array, jax.Array]  # lowest and highest at the start
     environment: Race = struct.field(pytree_node=False)
     step: float = struct.field(pytree_node=False)  # s, of the control loop
-    hold: int = struct.field(pytree_node=False)  # samples in a control step
+    samples_per_command: int = struct.field(pytree_node=False)  # samples in a control step
     limit: int = struct.field(pytree_node=False)  # control steps until a flight is out of time
     laps: int = struct.field(pytree_node=False)
     runs: int = struct.field(pytree_node=False)  # independent drones
@@ -133,7 +133,7 @@ def observe(plan: Plan, drones: Drones) -> jax.Array:
     return plan.environment.observation(plan.race, state)
 
 
-def hold(
+def hold_command(
     plan: Plan, drones: Drones, command: Rotors | RateCommand, key: jax.Array
 ) -> tuple[Drones, Rotors]:
     """All drones one control step later, under commands of each that are held.
@@ -149,7 +149,7 @@ def hold(
         draws = jax.random.normal(key, (onboard.DRAWS, plan.runs))
         return advance(plan, drones, command, draws)
 
-    following, rotors = jax.lax.scan(one, drones, jax.random.split(key, plan.hold))
+    following, rotors = jax.lax.scan(one, drones, jax.random.split(key, plan.samples_per_command))
     return following, jax.tree.map(lambda x: x[-1], rotors)
 
 
@@ -181,17 +181,17 @@ def advance(plan: Plan, steps: int, drones: Drones, key: jax.Array) -> tuple[Dro
     Returns:
         The drones, and the frames of the recorded runs: time first, runs last.
     """
-    act = jax.vmap(fly, in_axes=(None, 0, 0))
+    act_all = jax.vmap(act, in_axes=(None, 0, 0))
     command_of = jax.vmap(plan.environment.command, in_axes=(None, 0), out_axes=-1)
 
     def control(drones: Drones, key: jax.Array) -> tuple[Drones, Frame]:
         of_policy, of_plant = jax.random.split(key)
         observed = jax.vmap(observe, in_axes=(None, -1))(plan, drones)
-        action = act(plan.pilot, observed, jax.random.normal(of_policy, (plan.runs, 4)))
+        action = act_all(plan.pilot, observed, jax.random.normal(of_policy, (plan.runs, 4)))
         command = command_of(plan.race, action)
-        following, rotors = hold(plan, drones, command, of_plant)
+        following, rotors = hold_command(plan, drones, command, of_plant)
         recorded = jax.tree.map(lambda x: x[..., : plan.recorded], (drones, command, rotors))
-        frame = jax.vmap(frame_of, (axes(plan), -1, -1, -1), -1)(first_runs(plan), *recorded)
+        frame = jax.vmap(record_frame, (axes(plan), -1, -1, -1), -1)(first_runs(plan), *recorded)
         recall = jax.vmap(remember, (axes(plan), -1, -1, 0), -1)
         return recall(plan, drones, following, action), frame
 
@@ -209,7 +209,9 @@ def first_runs(plan: Plan) -> Plan:
     return plan.replace(plant=plant, onboard=onboard)
 
 
-def frame_of(plan: Plan, drones: Drones, command: Rotors | RateCommand, rotors: Rotors) -> Frame:
+def record_frame(
+    plan: Plan, drones: Drones, command: Rotors | RateCommand, rotors: Rotors
+) -> Frame:
     """The ``Frame`` of a control step of one drone."""
     now = drones.onboard.estimate
     true = drones.plant.physics.body

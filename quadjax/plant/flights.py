@@ -21,7 +21,7 @@ from quadjax.plant.onboard import onboard_params
 from quadjax.plant.plant import build_plant, nominal_vehicle
 from quadjax.plant.population import shared_or_stacked
 from quadjax.policy.file import Policy
-from quadjax.policy.pilot import fit_race, make_pilot
+from quadjax.policy.pilot import adapt_race, make_pilot
 from quadjax.policy.race import own_race, race_of_policy, warn_of_other_race
 from quadjax.race import laps
 from quadjax.race.environment import without_training_limits
@@ -40,7 +40,7 @@ SAME_HOVER, SAME_ROLL = 1.25, 2.0  # largest factors between numbers of the same
 
 
 @dataclasses.dataclass(frozen=True)
-class Flights:
+class PlantFlights:
     """Flights that have ended."""
 
     laps: Laps  # the timed result
@@ -78,7 +78,7 @@ def plan_race(
             read.
     """
     assert runs % drones == 0, (runs, drones)
-    environment, params = fit_race(*make_race(race_config(config, policy)), policy, name)
+    environment, params = adapt_race(*make_race(race_config(config, policy)), policy, name)
     params = without_training_limits(environment.model, params)
     environment = dataclasses.replace(environment, user_terms=())  # there is no reward
     check_drone(plant, config.vehicle)
@@ -103,7 +103,7 @@ def plan_race(
         charge=(jnp.float32(low), jnp.float32(high)),
         environment=environment,
         step=1.0 / plant.control_rate,
-        hold=round(plant.sample_rate / plant.control_rate),
+        samples_per_command=round(plant.sample_rate / plant.control_rate),
         limit=round(time_limit(params.track, lap_count) * plant.control_rate),
         laps=lap_count,
         runs=runs,
@@ -214,7 +214,7 @@ def check_steps(layout: Layout, training_step: float, step: float) -> None:
 
 def fly_plan(
     plan: Plan, seed: int = 0, report: Callable[[float], None] = lambda seconds: None
-) -> Flights:
+) -> PlantFlights:
     """Fly until every drone has finished or crashed.
 
     Args:
@@ -237,13 +237,13 @@ def fly_plan(
             break
     joined = jax.tree.map(lambda *parts: np.concatenate(parts), *frames)
     step, limit = float(plan.plant.step), plan.limit * plan.step
-    return Flights(laps.laps_of(plan.environment, drones.race, step, limit), joined, plan.step)
+    return PlantFlights(laps.laps_of(plan.environment, drones.race, step, limit), joined, plan.step)
 
 
 Vector = Vec3 | Quaternion | Rotors | RateCommand | tuple[jax.Array, ...]
 
 
-def rows(flights: Flights, vector: Vector, run: int) -> np.ndarray:
+def extract_rows(flights: PlantFlights, vector: Vector, run: int) -> np.ndarray:
     """Components (n, k) of a vector of the frames in one recorded run, until its end."""
     going = ~flights.frames.over[:, run]
     columns = [np.asarray(x)[going, run] for x in jax.tree.leaves(vector)]
@@ -251,7 +251,7 @@ def rows(flights: Flights, vector: Vector, run: int) -> np.ndarray:
 
 
 def recorded_flights(
-    flights: Flights, gates: Sequence[GateSection], model: VehicleModel
+    flights: PlantFlights, gates: Sequence[GateSection], model: VehicleModel
 ) -> list[recorded.Flight]:
     """The recorded runs by their true states, each cut at its end, numbered from 1.
 
@@ -267,7 +267,7 @@ def recorded_flights(
     motion = true.position, true.velocity, true.euler, true.rates, actuators
     for run in range(frames.over.shape[-1]):
         vectors = (*motion, frames.command, (frames.target,))
-        columns = (rows(flights, vector, run) for vector in vectors)
+        columns = (extract_rows(flights, vector, run) for vector in vectors)
         values = dict(zip((*recorded.SIMULATED, "target"), columns, strict=True))
         ended = flights.laps.lap_times[run], flights.laps.crashes[run]
         name = f"{run + 1}"
@@ -275,7 +275,7 @@ def recorded_flights(
     return result
 
 
-def log_quantities(flights: Flights, run: int, gates: np.ndarray) -> dict[str, np.ndarray]:
+def log_quantities(flights: PlantFlights, run: int, gates: np.ndarray) -> dict[str, np.ndarray]:
     """One recorded run as quantities of a flight log, each (n,) or (n, k).
 
     Args:
@@ -299,5 +299,5 @@ def log_quantities(flights: Flights, run: int, gates: np.ndarray) -> dict[str, n
         vectors["rate_command"] = frames.command.rates
         vectors["thrust_command"] = frames.command.thrust
     time = {"time": flights.step * np.arange(len(target)), "mode": np.ones(len(target))}
-    columns = {name: rows(flights, vector, run) for name, vector in vectors.items()}
+    columns = {name: extract_rows(flights, vector, run) for name, vector in vectors.items()}
     return time | columns | {"target_gate": target}

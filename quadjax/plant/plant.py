@@ -19,7 +19,7 @@ from quadjax.core.resources import CONFIGS
 from quadjax.core.traced import as_leaves
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts
-from quadjax.plant.airframe import Airframe, airframe_force_moment, make_airframe
+from quadjax.plant.airframe import AirframeDeviations, airframe_force_moment, make_airframe
 from quadjax.plant.config import (
     EffectsConfig,
     GustsConfig,
@@ -49,7 +49,7 @@ class PlantParams(struct.PyTreeNode):
     vehicle: VehicleParams  # the drone's own constants
     rotor_factor: Rotors  # on each rotor's speed in force and moment
     effects: EffectsConfig  # their strengths
-    airframe: Airframe | None  # its measured deviations; None: as the model
+    airframe: AirframeDeviations | None  # its measured deviations; None: as the model
     rotors: RotorConfig
     motors: MotorsConfig
     imu: ImuConfig
@@ -157,8 +157,8 @@ def drawn_factors(config: PlantConfig) -> tuple[dict[str, float], np.ndarray]:
     spread = config.constants.spread * config.effects.constants
     names = [name for name in constant_names(MotorConstants) if name not in NOT_DRAWN]
     factors = dict(zip(names, 1.0 + spread * random.uniform(-1.0, 1.0, len(names)), strict=True))
-    unlike = config.motors.rotor_spread * config.effects.constants
-    return factors, 1.0 + unlike * random.uniform(-1.0, 1.0, 4)
+    spread = config.motors.rotor_spread * config.effects.constants
+    return factors, 1.0 + spread * random.uniform(-1.0, 1.0, 4)
 
 
 def begin(

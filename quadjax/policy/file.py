@@ -134,14 +134,14 @@ class Policy:
         """
         path = policy_file(path)
         if path.suffix.lower() in SUFFIXES:
-            from quadjax.policy.foreign import policy_of
+            from quadjax.policy.foreign import import_policy
 
             if config is None:
                 raise InputError(
                     f"{path}: not a policy file, so it also needs the config of the race that "
                     "the network was trained in"
                 )
-            return policy_of(path, config, activation, std)
+            return import_policy(path, config, activation, std)
         policy = _read(path)
         if policy.own is None or config is None:
             return policy

@@ -47,7 +47,7 @@ def sort_files(
     return networks, std
 
 
-def policy_of(
+def import_policy(
     path: Path | str,
     config: Config | Path | str,
     activation: str | None = None,
@@ -172,7 +172,7 @@ def _check_sizes(
         )
 
 
-def residual_of(
+def import_residual(
     vehicle: Vehicle,
     networks: Sequence[Path | str],
     sign: int | None,

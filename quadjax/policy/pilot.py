@@ -39,7 +39,7 @@ class Pilot(struct.PyTreeNode):
     noise: jax.Array  # () 1 for sampled actions, 0 for the mean: one compilation for both
 
 
-def fit_race(
+def adapt_race(
     environment: Race, params: RaceParams, policy: Policy, name: str = "policy"
 ) -> tuple[Race, RaceParams]:
     """The race with the observation and the scaling that a policy was trained with.
@@ -116,7 +116,7 @@ def command_ranges(environment: Race, params: RaceParams) -> Ranges:
 
 
 def make_pilot(policy: Policy, deterministic: bool) -> Pilot:
-    """A policy that flies the mean of its actions or samples, in the race of ``fit_race``."""
+    """A policy that flies the mean of its actions or samples, in the race of ``adapt_race``."""
     return Pilot(policy.on_device(), jnp.float32(not deterministic))
 
 
@@ -142,8 +142,8 @@ def in_scaling_of(
         _rounded(policy.command_low, policy.command_high),
     )
     layout = environment.layout.with_spans(environment.model, params)
-    see, act = _observation_scale(layout, policy.layout), _between(own, limits)
-    if all(np.all(scale == 1.0) and np.all(offset == 0.0) for scale, offset in (see, act)):
+    observed, commanded = _observation_scale(layout, policy.layout), _affine_to(own, limits)
+    if all(np.all(x == 1.0) and np.all(offset == 0.0) for x, offset in (observed, commanded)):
         return policy
     pair = " to ".join(f"{x.tolist()}" for x in own), " to ".join(f"{x.tolist()}" for x in limits)
     if policy.own is not None:
@@ -153,13 +153,13 @@ def in_scaling_of(
         )
     if np.any(limits[0] < own[0]) or np.any(limits[1] > own[1]):
         warn(f"{name}: commands {pair[0]}, and may exceed it in this race of {pair[1]}")
-    actor = _converted(policy.layers, *see)
+    actor = _converted(policy.layers, *observed)
     kernel, bias = actor[-1]
     return dataclasses.replace(
         policy,
-        layers=(*actor[:-1], (kernel * act[0], bias * act[0] + act[1])),
-        value=policy.value and _converted(policy.value, *see),
-        log_std=policy.log_std + np.log(act[0]),
+        layers=(*actor[:-1], (kernel * commanded[0], bias * commanded[0] + commanded[1])),
+        value=policy.value and _converted(policy.value, *observed),
+        log_std=policy.log_std + np.log(commanded[0]),
         command_low=limits[0],
         command_high=limits[1],
         layout=layout,
@@ -181,7 +181,7 @@ def _observation_scale(environment: Layout, training: Layout) -> Ranges:
             continue
         here, there = _rounded(*np.transpose(span)), _rounded(*np.transpose(training_span))
         columns = training.slice(field.name)
-        scale[columns], offset[columns] = _between(here, there)
+        scale[columns], offset[columns] = _affine_to(here, there)
     return scale, offset
 
 
@@ -190,7 +190,7 @@ def _rounded(low: ArrayLike, high: ArrayLike) -> Ranges:
     return np.asarray(low, np.float32).astype(float), np.asarray(high, np.float32).astype(float)
 
 
-def _between(source: Ranges, target: Ranges) -> Ranges:
+def _affine_to(source: Ranges, target: Ranges) -> Ranges:
     """Scale and offset from numbers in [-1, 1] over one range to those over another.
 
     They are one and zero for equal ranges, and both zero where only the other one has no width.
@@ -201,7 +201,7 @@ def _between(source: Ranges, target: Ranges) -> Ranges:
     return scale, (high + low - to_high - to_low) / width
 
 
-def fly(pilot: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
+def act(pilot: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
     """The action (actions,) for an observation (k,), with normal ``noise``."""
     return act_sampled(pilot.policy, observation, pilot.noise * noise)
 
@@ -213,7 +213,7 @@ def fly_policy(
     *,
     deterministic: bool = False,
     seed: int = 0,
-    actor: Actor = fly,
+    actor: Actor = act,
     name: str = "policy",
     **flight: Any,
 ) -> tuple[Laps, Trace | None]:
@@ -232,6 +232,6 @@ def fly_policy(
     Raises:
         InputError: the policy does not fit the vehicle.
     """
-    environment, params = fit_race(environment, params, policy, name)
+    environment, params = adapt_race(environment, params, policy, name)
     pilot = make_pilot(policy, deterministic)
     return fly_laps(environment, params, actor, pilot, jax.random.key(seed), **flight)

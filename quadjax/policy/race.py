@@ -15,7 +15,7 @@ from quadjax.vehicle.residual import read_residual
 
 FLOWN = ("vehicle", "track", "rules", "battery")  # sections of a config that describe a flight
 NOT_FLOWN = ("name", "file", "models", "width", "fitted_speed", "generate", "opening")
-LISTED = 3  # differences in a warning
+MAX_LISTED = 3  # differences in a warning
 
 
 class Difference(NamedTuple):
@@ -89,8 +89,8 @@ def warn_of_other_race(policy: Policy, race: Config, name: Path | str = "policy"
         warn(f"not compared with the race of the training: {error}")
         return
     if found:
-        more = [f"{len(found) - LISTED} more"] if len(found) > LISTED else []
-        listed = "; ".join([*map(str, found[:LISTED]), *more])
+        more = [f"{len(found) - MAX_LISTED} more"] if len(found) > MAX_LISTED else []
+        listed = "; ".join([*map(str, found[:MAX_LISTED]), *more])
         warn(f"{name}: trained in another race: {listed} (without a config it flies its own race)")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
 from quadjax.core.gradients import Scalar
-from quadjax.core.vectors import Vec3, between, safe_norm
+from quadjax.core.vectors import Vec3, from_unit, safe_norm
 from quadjax.race.memory import begin_memories
 from quadjax.race.track import (
     Gate,
@@ -84,7 +84,7 @@ def reset(environment: "Race", params: RaceParams, key: jax.Array) -> RaceState:
     state = _begin(environment, params, drone, target, constants, battery)
     if params.delay is not None:
         late = jax.random.uniform(jax.random.fold_in(key, DELAY_STREAM), minval=-1.0)
-        state = state.replace(delay=between(*params.delay, late))
+        state = state.replace(delay=from_unit(*params.delay, late))
     if ranges.race is not None:
         race_key, used_key = jax.random.split(jax.random.fold_in(key, RACE_START_STREAM))
         race = hover_start(environment, params, state, draw(race_key, 3))
@@ -264,5 +264,5 @@ def _begin(
     zero = jnp.zeros((), jnp.int32)
     state = RaceState(drone, target, zero, zero, constants, battery=battery)
     if params.delay is not None:
-        state = state.replace(delay=between(*params.delay, jnp.zeros(())))
+        state = state.replace(delay=from_unit(*params.delay, jnp.zeros(())))
     return begin_memories(environment, params, state)

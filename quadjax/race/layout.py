@@ -13,8 +13,7 @@ from pydantic import ConfigDict
 
 from quadjax.core.errors import InputError
 from quadjax.core.imports import user_numbers
-from quadjax.core.sections import LARGEST, Section, model_validator, validate
-from quadjax.core.sections import Field as Key
+from quadjax.core.sections import LARGEST, Field, Section, model_validator, validate
 from quadjax.race.types import RaceParams, Step
 from quadjax.vehicle.protocol import VehicleModel
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from quadjax.race.memory import Memory
 
 Numbers = Sequence[jax.Array]  # each ()
-Number = Annotated[float, Key(ge=-LARGEST, le=LARGEST)]
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Bounds = tuple[Any, Any]  # pytrees of scalars: lowest (None: minus the highest) and highest
 LAST_ACTION = "last_action"
 
@@ -82,9 +81,6 @@ class ObservedField:
         return [scale_to_unit(*x) for x in zip(values, low, high, strict=True)]
 
 
-Field = ObservedField  # its name in the public interface
-
-
 def scale_to_unit(value: jax.Array, low: jax.Array | None, high: jax.Array) -> jax.Array:
     """Map [low, high], or [-high, high], to [-1, 1]; zero if the range has no width."""
     if low is None:
@@ -99,12 +95,12 @@ class StoredField(Section):
     model_config = ConfigDict(extra="ignore")
 
     name: str
-    size: int = Key(ge=1, le=4096)
+    size: int = Field(ge=1, le=4096)
     unit: str = ""
     frame: str = ""
     range: Number = 8.0
     source: str = ""
-    span: tuple[tuple[Number, Number], ...] | None = Key(None, max_length=4096)
+    span: tuple[tuple[Number, Number], ...] | None = Field(None, max_length=4096)
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -30,7 +30,7 @@ DISTURBANCE = "disturbance"
 class Memory:
     """The base class of memories.
 
-    An observed ``Field`` names one of your own as its ``memory``, and so does a reward term or a
+    An ``ObservedField`` names one of your own as its ``memory``, and so does a reward term or a
     rule: a function with an attribute ``memory``. Both methods are pure and written with
     ``jax.numpy``.
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
-from quadjax.core.vectors import Vec3, between
+from quadjax.core.vectors import Vec3, from_unit
 from quadjax.race.layout import LAST_ACTION, Bounds, Layout, Numbers, ObservedField
 from quadjax.race.memory import DISTURBANCE
 from quadjax.race.observation_config import ESTIMATED, NONE, PUBLISHED, Observation, Source
@@ -91,7 +91,7 @@ def _actuators(step: Step) -> Numbers:
 def _last_action(step: Step) -> Numbers:
     """The command of the step before, which the range of commands scales to the action."""
     low, high = map(jax.tree.leaves, command_range(step.model, step.params))
-    return [between(*x) for x in zip(low, high, step.memories[LAST_ACTION], strict=True)]
+    return [from_unit(*x) for x in zip(low, high, step.memories[LAST_ACTION], strict=True)]
 
 
 def _disturbance(source: Source, step: Step) -> tuple[Vec3, Vec3]:

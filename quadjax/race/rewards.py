@@ -53,8 +53,8 @@ class Reward(Section):
     )
     gate_edge_reach: Annotated[Penalty, Unit("m"), Needs("reward.gate_edge")] = Field(
         1.0,
-        description="clearance violation in each axis above which the penalty is constant, m; at "
-        "least that at the edge of a widened opening",
+        description="the penalty is constant from this clearance violation on, in each axis, m; at "
+        "least to the edge of a widened opening",
     )
     distance: Penalty | None = Field(
         None,

@@ -134,7 +134,7 @@ class Step(struct.PyTreeNode):
     A reward term is a function of a step that returns a () float, added to the reward with its
     weight (multiply by ``time_step`` for a reward per second). A rule is a function of a step
     that returns a () bool; true ends the episode, in training and in timed laps, as a collision
-    does. The value of an observed ``Field`` is a function of a step that returns its numbers. All
+    does. The value of an ``ObservedField`` is a function of a step that returns its numbers. All
     must be pure and written with ``jax.numpy``.
 
     Attributes:

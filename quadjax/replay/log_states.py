@@ -9,7 +9,7 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.fitting.formats import RPM
+from quadjax.fitting.formats import RPM_PER_RAD_S
 from quadjax.fitting.motors import MAP, with_simulated_speeds
 from quadjax.fitting.samples import settled
 from quadjax.flights.flight import Flight, vehicle_signals
@@ -53,7 +53,7 @@ def vehicle_flight(log: Flight, model: VehicleModel, params: VehicleParams) -> F
         raise InputError(f"{path}: no sample in flight (logs.columns.mode)")
     states = {"thrust": -flight["specific_force"][:, 2:]}
     if "actuators" in flight.signals:
-        states |= {"rpm": flight["actuators"], "rotor_speed": flight["actuators"] / RPM}
+        states |= {"rpm": flight["actuators"], "rotor_speed": flight["actuators"] / RPM_PER_RAD_S}
     names = [COLUMNS.get(signal.name, "") for signal in model.commands]
     commands = [flight[name] for name in names if name in flight.signals]
     nothing = np.zeros((len(flight.time), 0))
@@ -64,7 +64,7 @@ def vehicle_flight(log: Flight, model: VehicleModel, params: VehicleParams) -> F
     return flight.replace(signals=signals, source=flight.source | {"measured": measured})
 
 
-def disturbances_of(
+def estimate_disturbances(
     flight: Flight, model: VehicleModel, params: VehicleParams
 ) -> dict[str, np.ndarray]:
     """External moment, N m, and force, m/s^2, (n, 3) body, by the onboard estimator.
@@ -89,7 +89,7 @@ def disturbances_of(
     return {name: np.asarray(x) for name, x in zip(DISTURBANCES, estimates, strict=True)}
 
 
-def states_of(
+def stack_states(
     flight: Flight, model: VehicleModel, sizes: Mapping[str, int], more: Mapping[str, np.ndarray]
 ) -> np.ndarray:
     """States (n, k) float32 of a model in the order of ``sizes``, names and sizes of the fields.

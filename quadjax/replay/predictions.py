@@ -13,7 +13,7 @@ from quadjax.core.integrators import rk4_step
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.signals import derivative, low_pass
 from quadjax.flights.flight import MOTION, Flight
-from quadjax.replay.log_states import states_of
+from quadjax.replay.log_states import stack_states
 from quadjax.vehicle.protocol import Motion, State, VehicleModel, VehicleParams
 from quadjax.vehicle.racing import RacingConstants, command_of
 
@@ -45,7 +45,7 @@ def predict(
         )
     sizes = {"position": 3, "velocity": 3, "euler": 3, "rates": 3}
     sizes[model.actuators.name] = model.actuators.size
-    first = states_of(flight, model, sizes, {})[starts]
+    first = stack_states(flight, model, sizes, {})[starts]
     rows = starts[:, None] + np.arange(steps[-1])
     speeds = np.float32(flight["actuators"][rows]) if drive == "speeds" else None
     modeled = _roll_out(model, params, first, np.float32(commands[rows]), speeds, step)

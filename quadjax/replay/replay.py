@@ -30,7 +30,12 @@ from quadjax.flights.gates import MEASURED_MARGIN_M
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import command_ranges
 from quadjax.race.track import TrackSection
-from quadjax.replay.log_states import DISTURBANCES, disturbances_of, states_of, vehicle_flight
+from quadjax.replay.log_states import (
+    DISTURBANCES,
+    estimate_disturbances,
+    stack_states,
+    vehicle_flight,
+)
 from quadjax.replay.predictions import Arrays, predict
 from quadjax.vehicle.protocol import VehicleModel, VehicleParams
 
@@ -211,7 +216,7 @@ def _observations(
         low, high = command_ranges(race.environment, race.params)
         more[LAST_COMMAND] = np.concatenate([[0.5 * (low + high)], commands[:-1]])
     observed = [name for name in layout.names if name in DISTURBANCES]
-    estimates = disturbances_of(flight, model, race.params.vehicle) if observed else {}
+    estimates = estimate_disturbances(flight, model, race.params.vehicle) if observed else {}
     source = "taken as zero, as the model has no estimator" if observed else ""
     if observed and layout[observed[0]].source == "none":
         source = "zero, as in the training of the policy"
@@ -219,7 +224,7 @@ def _observations(
         more |= estimates
         simulated = "" if flight.source["measured"] else " with simulated rotor speeds"
         source = f"estimated from the log{simulated}"
-    states = states_of(flight, model, sizes, more)
+    states = stack_states(flight, model, sizes, more)
     return observe(race, states, flight.target.astype(np.int32)), source
 
 

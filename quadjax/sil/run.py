@@ -29,7 +29,7 @@ from quadjax.flights.files import save
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import plan_race
 from quadjax.policy.file import Policy
-from quadjax.policy.pilot import fit_race
+from quadjax.policy.pilot import adapt_race
 from quadjax.policy.race import warn_of_other_race
 from quadjax.race.laps import Laps
 from quadjax.sil.faults import Faults
@@ -130,7 +130,7 @@ def make_world(config: Config, policy: Policy, plant: PlantConfig | None, laps: 
         InputError: a vehicle model that the plant lacks.
     """
     if plant is None:
-        return simulator_world(*fit_race(*make_race(config), policy), laps)
+        return simulator_world(*adapt_race(*make_race(config), policy), laps)
     if policy.vehicle not in ON_PLANT:
         raise InputError(
             f"a plant has no vehicle model {policy.vehicle!r}, allowed: "

@@ -147,7 +147,7 @@ def _advance_plant(
     key, key_of_step = jax.random.split(key)
     low, _ = plan.environment.model.command_range(plan.race.vehicle.constants)
     held = jax.tree.unflatten(jax.tree.structure(low), [x[None] for x in command])
-    drones, _ = flight.hold(plan, drones, held, key_of_step)
+    drones, _ = flight.hold_command(plan, drones, held, key_of_step)
     return drones, key, _see_plant(plan, drones)
 
 

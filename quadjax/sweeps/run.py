@@ -41,10 +41,10 @@ POLL_S = 0.2
 PRINT_AFTER_S = 10.0  # after which the running trials are printed
 REPORTS = 10  # to the pruner in each training
 FLIGHT_SEED = 1
-Enough = Callable[[float, float], bool]  # (fraction of the training, lap time): whether to stop
-# (sweep, parameters, seed, folder, enough): value, s, and the fraction of finished flights of one
-# seed of a trial; None if it was stopped.
-Measure = Callable[[Sweep, Params, int, Path, Enough], tuple[float, float] | None]
+StopWhen = Callable[[float, float], bool]  # (fraction of the training, lap time): whether to stop
+# (sweep, parameters, seed, folder, stop_when): value, s, and the fraction of finished flights of
+# one seed of a trial; None if it was stopped.
+Measure = Callable[[Sweep, Params, int, Path, StopWhen], tuple[float, float] | None]
 
 
 class TrialStopped(Exception):
@@ -52,7 +52,7 @@ class TrialStopped(Exception):
 
 
 def train_and_fly(
-    sweep: Sweep, params: Params, seed: int, folder: Path, enough: Enough
+    sweep: Sweep, params: Params, seed: int, folder: Path, stop_when: StopWhen
 ) -> tuple[float, float] | None:
     """Train one seed, from its checkpoint if there is one, and evaluate its policy: ``Measure``."""
     from quadjax.evaluation.evaluate import evaluate
@@ -61,16 +61,17 @@ def train_and_fly(
     from quadjax.training.run import train
 
     run = (f"name=trial{folder.parent.name}", "run.devices=1", f"seed={seed}")
-    config, settings = sweep.config_of(params, *run), sweep.file.objective
-    race = sweep.config_of(params, *run, *sweep.conditions) if settings.plant is None else config
+    config, settings = sweep.make_config(params, *run), sweep.file.objective
+    race = sweep.make_config(params, *run, *sweep.conditions) if settings.plant is None else config
     track, laps = make_params(config).track, config.evaluate
     limit = time_limit(track, race_length(track, laps.laps, laps.gates))
 
-    def row_enough(row: dict[str, float]) -> bool:
-        return enough(row["steps"] / config.run.steps, min(row.get("best_lap_total", limit), limit))
+    def should_stop_training(row: dict[str, float]) -> bool:
+        lap_time = min(row.get("best_lap_total", limit), limit)
+        return stop_when(row["steps"] / config.run.steps, lap_time)
 
     try:
-        if not train(config, folder, resume=True, enough=row_enough).finished:
+        if not train(config, folder, resume=True, stop_when=should_stop_training).finished:
             return None
     except NonFiniteError:
         return limit, 0.0
@@ -95,7 +96,7 @@ def objective(
     finished, started, seeds = 0.0, time.monotonic(), sweep.file.objective.seeds
     last, pruned = 0, False
 
-    def enough(fraction: float, lap_time: float) -> bool:
+    def should_stop(fraction: float, lap_time: float) -> bool:
         nonlocal last, pruned
         step = int((len(values) + min(fraction, 1.0)) * REPORTS + 1e-9)
         if step > last and not pruned:
@@ -106,7 +107,8 @@ def objective(
     try:
         params = sweep.suggest(trial)
         for seed in range(seeds):
-            if (result := measure(sweep, params, seed, folder / f"seed{seed}", enough)) is None:
+            result = measure(sweep, params, seed, folder / f"seed{seed}", should_stop)
+            if result is None:
                 break
             values, finished = [*values, result[0]], finished + result[1]
     except Exception as error:

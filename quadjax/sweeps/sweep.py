@@ -57,7 +57,7 @@ class Sweep:
                 trial.suggest_float(key, d.low, d.high, step=d.step, log=d.log)
         return trial.params
 
-    def config_of(self, params: Params, *more: str) -> Config:
+    def make_config(self, params: Params, *more: str) -> Config:
         """A trial's config with more overrides; ``InputError`` if they do not go together."""
         choices = {key: self.file.space[key].choices or () for key in params}
         changes = [
@@ -105,7 +105,7 @@ class Sweep:
             tried = [dict(zip(ends, x, strict=True)) for x in itertools.product(*ends.values())]
         for params in tried:
             with prefixed("space: " + ", ".join(override(*item) for item in params.items())):
-                self.config_of(params)
+                self.make_config(params)
         assert self.trials  # raises where the budget does not fit the grid
         if self.file.search.base_first:
             with prefixed("search.base_first"):

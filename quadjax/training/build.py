@@ -35,11 +35,11 @@ REFERENCE_LEG_M, REFERENCE_TIME_S = 3.5, 0.43  # m and s, of the paper's track a
 
 def training_environment(config: Config) -> Environment[RaceParams, RaceState]:
     """The race of training. Where the critic observes the drawn constants, they come last."""
-    environment, constants = make_environment(config), privileged_constants(config)
+    environment, constants = make_environment(config), critic_constants(config)
     return PrivilegedRace(**vars(environment), spread=constants) if constants else environment
 
 
-def privileged_constants(config: Config) -> tuple[tuple[str, float], ...]:
+def critic_constants(config: Config) -> tuple[tuple[str, float], ...]:
     """The constants that only the critic observes, and how far each is drawn from its value."""
     if not config.observation.critic_constants:
         return ()
@@ -53,7 +53,7 @@ def make_network(config: Config) -> ActorCritic:
     return config.network.make(
         training_environment(config).action_size,
         clip_mean=config.learner.noise_on == "clipped_mean",
-        privileged_size=len(privileged_constants(config)),
+        privileged_size=len(critic_constants(config)),
     )
 
 
@@ -219,7 +219,7 @@ def first_params(config: Config, seed: int) -> Params:
 
 def untrained_policy(config: Config) -> Policy:
     """A policy with random weights for the race of a config."""
-    return policy_of(config, first_params(config, config.seed))
+    return make_policy(config, first_params(config, config.seed))
 
 
 def trained_policy(config: Config, params: Params, steps: int) -> Policy:
@@ -232,10 +232,10 @@ def trained_policy(config: Config, params: Params, steps: int) -> Policy:
         "residual": config.vehicle.residual,
         "steps": steps,
     }
-    return policy_of(config, params, source)
+    return make_policy(config, params, source)
 
 
-def policy_of(config: Config, params: Params, source: dict[str, Any] | None = None) -> Policy:
+def make_policy(config: Config, params: Params, source: dict[str, Any] | None = None) -> Policy:
     """A network in training as a policy."""
     environment = make_environment(config)
     model = environment.model
@@ -269,10 +269,10 @@ def _parts_of_policy(
     """
     if config.network.module is not None:
         network = make_network(config).clone(privileged_size=0)
-        parts = {name: params[name] for name in PARTS[: 1 if privileged_constants(config) else 2]}
+        parts = {name: params[name] for name in PARTS[: 1 if critic_constants(config) else 2]}
         return (), None, OwnNetwork(config.network.module, parts, network)
     inputs, value = input_scale(config), None
-    if not privileged_constants(config):
+    if not critic_constants(config):
         value = _rescaled(to_layers(params["critic"]), inputs, 1.0 / reward_scale(config))
     layers = _rescaled(to_layers(params["actor"]), inputs)
     return jax.device_get(layers), jax.device_get(value), None

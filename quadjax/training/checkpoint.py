@@ -11,7 +11,7 @@ from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.core.mlp import Params
-from quadjax.learners.loop import Progress
+from quadjax.learners.loop import ChunkResult
 from quadjax.learners.state import TrainState
 
 # Orbax logs a traceback in every thread for an error that it also raises.
@@ -28,21 +28,21 @@ class RunState(struct.PyTreeNode):
     steps: int = 0  # environment steps of the run that are done
     seconds: float = 0.0  # of training, summed over all times that the run was resumed
 
-    def after(self, progress: Progress, score: float, seconds: float) -> "RunState":
+    def after(self, result: ChunkResult, score: float, seconds: float) -> "RunState":
         """The state one chunk later, with the best parameters in the host's memory.
 
         Of equal scores the later one counts as better.
 
         Args:
-            progress: the run after the chunk.
+            result: the run after the chunk.
             score: of its parameters; lower is better, infinite where no flight finishes.
             seconds: of training.
         """
         best, best_score, best_steps = self.best, self.best_score, self.best_steps
         if score <= best_score or math.isinf(best_score):
-            best, best_score, best_steps = progress.state.evaluated, score, progress.steps
+            best, best_score, best_steps = result.state.evaluated, score, result.steps
         return RunState(
-            progress.state, jax.device_get(best), best_score, best_steps, progress.steps, seconds
+            result.state, jax.device_get(best), best_score, best_steps, result.steps, seconds
         )
 
 

@@ -16,7 +16,7 @@ MAX_WIDTH = 100  # columns of the training's line
 MAX_NAME = 16  # letters of the run's name in it
 
 
-class TrainingProgress:
+class ProgressBar:
     """Percentage, time left, steps per second and race times of a training run."""
 
     def __init__(

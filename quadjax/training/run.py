@@ -21,7 +21,7 @@ from quadjax.core.interruptions import interruptions
 from quadjax.core.mlp import Params
 from quadjax.core.precision import single_precision
 from quadjax.learners import parallel
-from quadjax.learners.loop import Plan, Progress, Row, train_chunks
+from quadjax.learners.loop import ChunkResult, Plan, Row, train_chunks
 from quadjax.learners.parallel import Chunk
 from quadjax.learners.schedules import Training
 from quadjax.learners.state import TrainState
@@ -36,7 +36,7 @@ from quadjax.training.build import (
 from quadjax.training.checkpoint import Checkpoints, RunState
 from quadjax.training.folder import FILES, KIND, prepare_folder
 from quadjax.training.inputs import check_functions, check_learner, check_residual
-from quadjax.training.progress import TrainingProgress
+from quadjax.training.progress import ProgressBar
 from quadjax.training.result import MetricsFile, Run, check_tensorboard, is_finished, write_summary
 from quadjax.training.score import FEW_STEPS, gap, make_flights, no_lap
 from quadjax.vehicle.registry import base_model
@@ -56,7 +56,7 @@ def train(
     overwrite: bool = False,
     progress: bool = True,
     started: float | None = None,
-    enough: Callable[[Row], bool] | None = None,
+    stop_when: Callable[[Row], bool] | None = None,
 ) -> Run:
     """Train a policy and write everything to a folder.
 
@@ -71,7 +71,7 @@ def train(
         overwrite: remove what an earlier run left in the folder; other files stay.
         progress: print the progress to stderr.
         started: ``time.monotonic()`` from which training time counts; now if not given.
-        enough: called after every evaluation with its row of metrics; True ends the run there.
+        stop_when: called after every evaluation with its row of metrics; True ends the run there.
 
     Raises:
         InputError: a folder that holds a run (and neither ``resume`` nor ``overwrite``), a run of
@@ -95,12 +95,12 @@ def train(
         if not (is_finished(folder) and (folder / "policy.npz").exists()):
             job = dataclasses.replace(job, config=config)
             shown = job.plan.steps, config.name, config.evaluate.length
-            display = TrainingProgress(*shown) if progress else None
+            display = ProgressBar(*shown) if progress else None
             count = getattr(config.learner, "num_envs", None)
             if display is not None and count is not None:
                 display.note(f"{config.name}: {count} environments (learner.num_envs)")
             with interruptions() as stop, display or contextlib.nullcontext():
-                _run(job, folder, resume, started, display, stop, enough)
+                _run(job, folder, resume, started, display, stop, stop_when)
         return Run.load(folder, config)
 
 
@@ -133,11 +133,11 @@ def _run(
     folder: Path,
     resume: bool,
     started: float,
-    display: TrainingProgress | None,
+    display: ProgressBar | None,
     stop: threading.Event,
-    enough: Callable[[Row], bool] | None,
+    stop_when: Callable[[Row], bool] | None,
 ) -> None:
-    """Compile, start or resume, train, and save; ends early after ``stop`` or ``enough``."""
+    """Compile, start or resume, train, and save; ends early after ``stop`` or ``stop_when``."""
     checkpoints, restored = Checkpoints(folder / "checkpoints"), None
     if resume and checkpoints.exists:
         restored = checkpoints.restore(parallel.placed_shapes(job.shapes, job.mesh))
@@ -151,17 +151,17 @@ def _run(
     metrics = MetricsFile(folder, run_state.steps, job.config.run.tensorboard)
     saved, advise_at = time.monotonic(), max(ADVISE_AFTER * job.plan.steps, FEW_STEPS)
     chunks = train_chunks(chunk, run_state.state, job.plan, run_state.steps)
-    while not stop.is_set() and (progress := next(chunks, None)) is not None:
-        laps = fly(progress.state.evaluated)
-        run_state = run_state.after(progress, laps.score, time.monotonic() - started)
-        row = _row(job.config, progress, run_state, laps)
+    while not stop.is_set() and (result := next(chunks, None)) is not None:
+        laps = fly(result.state.evaluated)
+        run_state = run_state.after(result, laps.score, time.monotonic() - started)
+        row = _row(job.config, result, run_state, laps)
         metrics.write(row)
         if display is not None:
             display.show(row)
-            if progress.steps >= advise_at and not math.isfinite(run_state.best_score):
+            if result.steps >= advise_at and not math.isfinite(run_state.best_score):
                 advise_at = math.inf
-                display.note(no_lap(laps.crashes, progress.steps))
-        if enough is not None and enough(row):
+                display.note(no_lap(laps.crashes, result.steps))
+        if stop_when is not None and stop_when(row):
             break
         late = time.monotonic() - saved > job.config.run.checkpoint_seconds
         if late and run_state.steps < job.plan.steps:
@@ -172,16 +172,16 @@ def _run(
     metrics.close()
 
 
-def _row(config: Config, progress: Progress, run_state: RunState, laps: Laps) -> Row:
+def _row(config: Config, result: ChunkResult, run_state: RunState, laps: Laps) -> Row:
     """A row of ``metrics.csv``; a reward is positive there, unlike in the score."""
     name, sign = config.run.score_name, -1.0 if config.run.score == "reward" else 1.0
     return {
-        "steps": progress.steps,
+        "steps": result.steps,
         "seconds": run_state.seconds,
-        "steps_per_second": progress.steps_per_second,
+        "steps_per_second": result.steps_per_second,
         name: sign * laps.score,
         f"best_{name}": sign * run_state.best_score,
-        **progress.row,
+        **result.row,
         **gap(config, laps),
         "finished": laps.finished / len(laps.crashes),
     }
@@ -202,7 +202,7 @@ def _compile(
     fly: Callable[[Params], Laps],
     restored: TrainState | None,
     stop: threading.Event,
-    display: TrainingProgress | None,
+    display: ProgressBar | None,
 ) -> tuple[Chunk, TrainState]:
     """The compiled chunk, and the first state: ``restored``, if it is not None.
 
@@ -216,7 +216,7 @@ def _compile(
             return restored
         return parallel.place(start_state(job.config, training, job.initial), mesh)
 
-    def warn(display: TrainingProgress) -> None:
+    def warn(display: ProgressBar) -> None:
         vehicle = job.config.vehicle
         for text in summarize(base_model(vehicle.model), vehicle.constants).warnings:
             display.note(f"warning: {vehicle.name}: {text}")
@@ -236,7 +236,7 @@ def _compile(
 
 
 def _wait_for(
-    futures: Sequence[Future], stop: threading.Event, display: TrainingProgress | None
+    futures: Sequence[Future], stop: threading.Event, display: ProgressBar | None
 ) -> None:
     """Wait until all are done, or one has failed; ``KeyboardInterrupt`` if ``stop`` is set."""
     left = PATIENCE_S

@@ -18,7 +18,7 @@ from flax import struct
 
 from quadjax.core import quaternion
 from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body
-from quadjax.core.vectors import Vec3, between
+from quadjax.core.vectors import Vec3, from_unit
 from quadjax.vehicle.constants import constant_names, declarations, from_values
 from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 
@@ -144,7 +144,7 @@ class VehicleModel:
         """The actuators' state at a start: drawn over their range; see ``start``."""
         low, high = self.actuator_range(c)
         pairs = zip(jax.tree.leaves(low), jax.tree.leaves(high), strict=True)
-        values = [between(*ends, numbers[index]) for index, ends in enumerate(pairs)]
+        values = [from_unit(*ends, numbers[index]) for index, ends in enumerate(pairs)]
         return jax.tree.unflatten(jax.tree.structure(low), values)
 
     def angular_momentum(

@@ -17,7 +17,7 @@ from flax import struct
 
 from quadjax.core.gradients import bounded_sqrt
 from quadjax.core.trigonometry import arctan2
-from quadjax.core.vectors import Rotors, Vec3, between
+from quadjax.core.vectors import Rotors, Vec3, from_unit
 from quadjax.vehicle.constants import constant, constant_names, from_values, values_of
 from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
 from quadjax.vehicle.rigid_body import BodyState
@@ -149,7 +149,7 @@ def all_racing_drones(nominal: RacingConstants, numbers: jax.Array) -> RacingCon
     """A drone of ``ALL_RACING_DRONES``, of at least 19 numbers in [-1, 1]; ``g`` as given."""
     count, values = len(ALL_RACING_DRONES), dict[str, Any]()
     for index, (name, (low, high, power)) in enumerate(ALL_RACING_DRONES.items()):
-        value = between(low, high, numbers[index])
+        value = from_unit(low, high, numbers[index])
         values[name] = value / values["w_max"] ** power if power else value
     for axis, name in enumerate(("k_p", "k_q")):
         draws = (numbers[count + 4 * axis + rotor] for rotor in range(4))

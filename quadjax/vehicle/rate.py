@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.vectors import Vec3, between
+from quadjax.core.vectors import Vec3, from_unit
 from quadjax.vehicle.constants import constant
 from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
 from quadjax.vehicle.rigid_body import BodyState
@@ -80,7 +80,7 @@ class Rate(VehicleModel):
         self, c: RateConstants, numbers: jax.Array, thrust: tuple[jax.Array, jax.Array]
     ) -> jax.Array:
         """The thrust drawn over the range ``thrust``, m/s^2, and clipped to that of commands."""
-        return jnp.clip(between(*thrust, numbers[0]), c.thrust_min, c.thrust_max)
+        return jnp.clip(from_unit(*thrust, numbers[0]), c.thrust_min, c.thrust_max)
 
     def hover_actuators(self, c: RateConstants) -> jax.Array:
         """The thrust of a hover, m/s^2, clipped to that of commands."""

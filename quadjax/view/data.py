@@ -13,7 +13,7 @@ from quadjax.race.track import GateSection
 
 ARM_M, ROTOR_M = 0.12, 0.076  # m, center to rotor and radius of a rotor, of a Bebop
 RECORD = "quadjax-flights/1"  # format of the data of a page
-NAMED = 3  # flights in a title
+MAX_NAMED_FLIGHTS = 3  # flights in a title
 MISSING = -32768  # of its integers: no value
 TURNS = {"rpm": 1.0 / 60.0, "rad/s": 0.5 / np.pi}  # per second, of one unit of a rotor speed
 NOT_IN_A_STRIP = ("position", "velocity", "body_velocity", "attitude", "target", "flying")
@@ -48,7 +48,7 @@ def page_record(title: str, flights: Sequence[Flight]) -> dict[str, Any]:
     }
 
 
-def title_of(flights: Sequence[Flight], track: str = "") -> str:
+def make_title(flights: Sequence[Flight], track: str = "") -> str:
     """A title: what flies, with the drone and the track where these are known and the same.
 
     Args:
@@ -57,7 +57,7 @@ def title_of(flights: Sequence[Flight], track: str = "") -> str:
     """
     names = [flight.name for flight in flights if len(flight.time)]
     races = {str(flight.source.get("race", track)) for flight in flights if len(flight.time)}
-    listed = ", ".join(names) if len(names) <= NAMED else f"{len(names)} flights"
+    listed = ", ".join(names) if len(names) <= MAX_NAMED_FLIGHTS else f"{len(names)} flights"
     return f"{listed}: {races.pop()}" if len(races) == 1 and races != {""} else listed
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pydantic
 import pytest
 
-from quadjax.config.loading import OFF_AT_ZERO, config_of, load_config
+from quadjax.config.loading import OFF_AT_ZERO, load_config, parse_config
 from quadjax.config.schema import Reward
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS, preset_names
@@ -367,7 +367,7 @@ def test_a_number_without_an_effect_at_0_is_null_there(key):
     section, name = key.split(".")
     tree = null.model_dump(by_alias=True)
     tree[section][name] = 0.0
-    assert config_of(tree, "file") == null
+    assert parse_config(tree, "file") == null
 
 
 def test_no_frames_stay_none_with_another_opening():
@@ -381,7 +381,7 @@ def test_one_opening_for_all_gates():
     assert {gate.size for gate in own.track.gates} == {(0.55, 0.55)} and own.track.opening is None
     assert own.rules.gate_frame == pytest.approx(0.6 + 0.475)
     assert own.training_limits.gate_inflation == pytest.approx(0.6 * 0.275)
-    assert config_of(own.model_dump(by_alias=True), "saved") == own
+    assert parse_config(own.model_dump(by_alias=True), "saved") == own
     with pytest.raises(InputError, match="opening is 3.0, allowed: at most 2.7, the outer edge of"):
         load_config("e2e_race", ["track=grand_challenge", "track.opening=3"])
     gate = "{position: [%d, 0, -1], yaw_deg: 0, size: [1.5, %g]}"

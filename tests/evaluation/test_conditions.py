@@ -41,7 +41,7 @@ RACE = load_config("e2e +residual", ["evaluate.laps=6"])
 def test_shipped_lists_are_valid(name):
     listed = read_conditions(name)
     plant = None if listed.plant is None else PlantConfig()
-    races = {condition.label: race for condition, race, _ in listed.of(RACE, plant)}
+    races = {condition.label: race for condition, race, _ in listed.expand(RACE, plant)}
     assert set(races) >= {condition.label for condition in listed.conditions}
 
 
@@ -107,15 +107,15 @@ def test_each_condition_of_the_plant_changes_one_thing():
 
 def test_arguments_come_before_the_list_and_the_list_before_the_config():
     listed = read_conditions("spread")
-    protocol = listed.resolved(RACE, seed=3)
+    protocol = listed.resolve(RACE, seed=3)
     assert (protocol.seconds, protocol.runs, protocol.start) == (12, 1000, "before_gate")
-    protocol = listed.resolved(RACE, laps=2, runs=7, start="hover")
+    protocol = listed.resolve(RACE, laps=2, runs=7, start="hover")
     assert (protocol.seconds, protocol.laps, protocol.runs) == (None, 2, 7)
     assert (protocol.start, protocol.deterministic) == ("hover", True)
     tracks = unseen_tracks(RACE, 9)
     assert (tracks.seed, tracks.count) == (256, 9)
     listed = read_conditions("protocols")
-    last = listed.resolved(RACE, seed=5, start="around").under(listed.conditions[-1])
+    last = listed.resolve(RACE, seed=5, start="around").apply(listed.conditions[-1])
     assert (last.start, last.seed, last.deterministic, last.laps) == ("random", 7, False, 6)
 
 

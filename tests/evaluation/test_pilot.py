@@ -23,7 +23,7 @@ WIDE = {"command_low": np.full(4, 2000.0), "command_high": np.full(4, 12000.0)}
 
 def make(policy, *overrides: str):
     config = load_config(BLANK, overrides)
-    environment, params = pilot.fit_race(*make_race(config), policy)
+    environment, params = pilot.adapt_race(*make_race(config), policy)
     return environment, params, pilot.make_pilot(policy, deterministic=True)
 
 
@@ -50,7 +50,7 @@ def test_the_policy_commands_what_its_file_says():
         drone = state.drone.replace(actuators=Rotors(*jnp.asarray(rpm, jnp.float32)))
         shown = environment.observation(params, state.replace(drone=drone))[12:16]
         np.testing.assert_allclose(shown, 2 * (rpm - 2000) / 10000 - 1, atol=1e-6)
-        action = pilot.fly(ready, jnp.asarray(seen, jnp.float32), noise)
+        action = pilot.act(ready, jnp.asarray(seen, jnp.float32), noise)
         given = jax.tree.leaves(environment.command(params, action))
         mean = np.clip(mean_action(policy.on_device(), jnp.asarray(seen, jnp.float32)), -1, 1)
         wanted = np.clip(2000 + 5000 * (np.asarray(mean) + 1), 3000, 11500)
@@ -101,8 +101,8 @@ def test_samples_are_about_the_mean():
     policy = random_policy()
     _, _, ready = make(policy)
     seen, noise = jnp.full(24, 0.1), jnp.full(4, 0.1)
-    mean = pilot.fly(ready, seen, noise)
-    sampled = pilot.fly(ready.replace(noise=jnp.float32(1.0)), seen, noise)
+    mean = pilot.act(ready, seen, noise)
+    sampled = pilot.act(ready.replace(noise=jnp.float32(1.0)), seen, noise)
     np.testing.assert_allclose(sampled, mean + 0.1 * np.exp(-1.0), atol=1e-6)
 
 
@@ -115,7 +115,7 @@ def test_what_does_not_fit_is_refused():
         (other, r"observes 'altitude' \(3\), which the race"),
     ):
         with pytest.raises(InputError, match=says):
-            pilot.fit_race(*make_race(load_config(BLANK)), unfit, "file.npz")
+            pilot.adapt_race(*make_race(load_config(BLANK)), unfit, "file.npz")
 
 
 def test_a_policy_of_an_own_model_starts_a_run(tmp_path):
@@ -143,6 +143,6 @@ def test_a_policy_with_its_fields_in_another_order_flies_the_same():
     )
     other, other_params, other_ready = make(turned)
     state = episode.hover_start(environment, params)
-    first = pilot.fly(ready, environment.observation(params, state), jnp.zeros(4))
+    first = pilot.act(ready, environment.observation(params, state), jnp.zeros(4))
     shown = other.observation(other_params, state)
-    np.testing.assert_allclose(pilot.fly(other_ready, shown, jnp.zeros(4)), first, atol=1e-6)
+    np.testing.assert_allclose(pilot.act(other_ready, shown, jnp.zeros(4)), first, atol=1e-6)

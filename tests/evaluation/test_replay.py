@@ -14,7 +14,7 @@ from quadjax.fitting.formats import PLAIN
 from quadjax.flights import Flight, Signal
 from quadjax.flights.flight import motion_signals
 from quadjax.replay import replay
-from quadjax.replay.log_states import disturbances_of
+from quadjax.replay.log_states import estimate_disturbances
 from quadjax.vehicle import motor
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams
@@ -161,7 +161,7 @@ def test_the_disturbances_of_a_log_are_those_of_the_onboard_estimator():
     signals["specific_force"] = Signal(zero - [0.0, 0.0, c.g + 0.5], "m/s^2")
     signals["actuators"] = Signal(np.full((count, 4), float(motor.hover_rpm(c))), "rpm")
     flight = Flight("log", time, signals)
-    found = disturbances_of(flight, motor.MODEL, VehicleParams(c))
+    found = estimate_disturbances(flight, motor.MODEL, VehicleParams(c))
     np.testing.assert_allclose(found["force_ext"][-1], [0.0, 0.0, -0.5], atol=1e-4)
     np.testing.assert_allclose(found["moment_ext"][-1], [2.0 * c.i_xx, 0.0, 0.0], atol=1e-6)
 

@@ -18,9 +18,9 @@ from quadjax.evaluation.result import Evaluation
 from quadjax.evaluation.rows import Row
 from quadjax.evaluation.training import (
     COLUMNS,
-    configs_of,
     evaluate_seed,
     format_seeds,
+    load_configs,
     train_once,
     write_evaluation,
 )
@@ -87,10 +87,10 @@ def test_the_table_names_the_published_time():
 
 def test_configs_have_names_that_differ():
     files = [str(CONFIGS / name) for name in ("e2e_ppo.yaml", "indi_ppo.yaml")]
-    assert list(configs_of(files, [])) == ["e2e_ppo", "indi_ppo"]
-    assert list(configs_of(["e2e", "e2e +fastest name=other"], [])) == ["e2e", "other"]
+    assert list(load_configs(files, [])) == ["e2e_ppo", "indi_ppo"]
+    assert list(load_configs(["e2e", "e2e +fastest name=other"], [])) == ["e2e", "other"]
     with pytest.raises(InputError, match="named mine"):
-        configs_of(files, ["name=mine"])
+        load_configs(files, ["name=mine"])
 
 
 NEXT = {  # by the width of the drone and the radius of its training, in the race of e2e +fastest

@@ -26,7 +26,7 @@ from quadjax.export.words import FixedPolicy, pack
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
 from quadjax.race.observations import HIGHEST_RPM
-from quadjax.training.build import first_params, policy_of
+from quadjax.training.build import first_params, make_policy
 from quadjax.vehicle.residual import write_residual
 from tests import reference as ref
 from tests.convert import residual_of
@@ -72,7 +72,7 @@ def made(name: str, hidden: tuple[int, ...] = (8,), gain: float = 0.5) -> tuple[
     config = config_of(name)
     shapes = jax.eval_shape(lambda: first_params(config, 0))
     zeros = jax.tree.map(lambda x: np.zeros(x.shape, np.float32), shapes)
-    policy = with_weights(policy_of(config, zeros), hidden, gain)
+    policy = with_weights(make_policy(config, zeros), hidden, gain)
     return policy, race_source.policy_race(config, policy, "test")
 
 

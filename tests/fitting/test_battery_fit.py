@@ -5,7 +5,7 @@ import pytest
 
 from quadjax.fitting import regression
 from quadjax.fitting.flight_log import log_flight
-from quadjax.fitting.motors import drain_of
+from quadjax.fitting.motors import compute_drain
 from quadjax.fitting.motors import fit_battery as fit_lag_and_battery
 from quadjax.flights import Flight
 from quadjax.vehicle.battery import BatteryConfig
@@ -77,13 +77,15 @@ def test_a_solver_that_stops_before_it_converges_is_reported(monkeypatch):
 
 
 def test_the_drain_is_fitted_to_long_flights_only():
-    used = drain_of(BATTERY)
+    used = compute_drain(BATTERY)
     other = BATTERY.replace(capacity=0.5 * BATTERY.capacity)
-    assert used == pytest.approx(2.15, abs=0.01) and drain_of(other) == pytest.approx(2.0 * used)
+    assert used == pytest.approx(2.15, abs=0.01) and compute_drain(other) == pytest.approx(
+        2.0 * used
+    )
     long = fit_battery([flight(0.9, 1, seconds=24)], HOVER, other)
     short = fit_battery([flight(0.9, 1, seconds=4)], HOVER, other)
     assert long.drain == pytest.approx(used, rel=0.1)
-    assert short.drain == drain_of(other) and short.tau == pytest.approx(TAU, rel=0.05)
+    assert short.drain == compute_drain(other) and short.tau == pytest.approx(TAU, rel=0.05)
 
 
 def test_without_a_limit_there_is_no_battery():

@@ -6,7 +6,7 @@ import yaml
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.fitting.axes import common_values
+from quadjax.fitting.axes import fit_shared_constants
 from quadjax.fitting.config import FitConfig, LogsConfig
 from quadjax.fitting.fit import fit
 from quadjax.fitting.flight_log import log_of_columns, read_log
@@ -95,9 +95,9 @@ def test_constants_common_to_the_rotors_take_the_place_of_the_base_vehicle(short
     path = _write("blackbox", short, tmp_path, variant=False)
     log = read_log(path, LogsConfig(format="blackbox"))
     own, other = (read_vehicle(f"{drone}.yaml").racing for drone in ("5inch", "3inch"))
-    common = common_values(prepare([log], other, [log.flying]))
+    shared = fit_shared_constants(prepare([log], other, [log.flying]))
     for name in ("k_p", "k_q", "k_r", "k_rd"):
-        values = [common[f"{name}{rotor}"] for rotor in (1, 2, 3, 4)]
+        values = [shared[f"{name}{rotor}"] for rotor in (1, 2, 3, 4)]
         mean = np.mean(getattr(own, name).components())
         assert len(set(values)) == 1 and 0.6 < values[0] / mean < 1.4, name
 

@@ -22,7 +22,7 @@ from quadjax.limits.problem import (  # noqa: E402
     POSITION,
     VELOCITY,
     FlightOptions,
-    gates_of,
+    make_gates,
     make_problem,
 )
 from quadjax.limits.verify import passages  # noqa: E402
@@ -44,7 +44,7 @@ def _track():
 
 def test_a_place_has_clearance_where_the_rules_let_it_pass():
     track, rng = _track(), np.random.default_rng(0)
-    gates = gates_of(track)
+    gates = make_gates(track)
     for index in range(3):
         g = gate(track, index)
         across = rng.uniform(-1.2, 1.2, (300, 2))
@@ -81,12 +81,12 @@ def test_a_body_radius_narrows_openings_bounds_and_ground():
     rules = ["rules.body_radius=0.1", "rules.gate_frame=0.2", "rules.bounds=[[-9,9],[-9,9],[-5,0]]"]
     environment, params = make_race(load_config("indi +fastest", rules))
     problem = make_problem(environment, params)
-    point = gates_of(params.track)
+    point = make_gates(params.track)
     np.testing.assert_allclose(problem.gates.half_size, point.half_size - 0.1, atol=1e-6)
     np.testing.assert_allclose(problem.bounds, [[-8.9, -8.9, -4.9], [8.9, 8.9, -0.1]], atol=1e-6)
     assert problem.frame_depth == pytest.approx(0.15)
     with pytest.raises(InputError, match="gate 1: no wider than the drone"):
-        gates_of(params.track, radius=2.0)
+        make_gates(params.track, radius=2.0)
 
 
 @pytest.mark.parametrize(("clearance", "right", "leeway"), [

@@ -12,9 +12,9 @@ from quadjax.limits.problem import (
     RATES,
     VELOCITY,
     double,
-    euler_of,
     make_problem,
     numbers,
+    to_euler,
 )
 
 casadi = pytest.importorskip("casadi")
@@ -64,7 +64,7 @@ def test_a_quaternion_has_the_accelerations_of_the_race_with_euler_angles(name):
     with jax.enable_x64(True):
         found = np.asarray(problem.slope(vector, command))
         state = problem.state(vector)
-        (roll, pitch, yaw), vec = euler_of(vector[None])[0], type(state.position)
+        (roll, pitch, yaw), vec = to_euler(vector[None])[0], type(state.position)
         low, _ = model.command_range(vehicle.constants)
         held = jax.tree.structure(low).unflatten(list(command))
         slope = model.derivative(vehicle, state.replace(attitude=vec(roll, pitch, yaw)), held)

@@ -13,12 +13,12 @@ from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.plant import flight as onboard_flight
 from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.plant.flights import (
+    extract_rows,
     fly_plan,
     log_quantities,
     plan_race,
     race_config,
     recorded_flights,
-    rows,
 )
 from quadjax.policy.file import Policy
 from quadjax.race.layout import LAST_ACTION
@@ -64,8 +64,8 @@ def test_a_policy_flies_a_lap_by_its_estimates(name, request):
         assert np.linalg.norm(flight["position"][-1] - last_gate) < 1.0
         np.testing.assert_array_equal(flight.passages[:, 1], [0, 1, 2, 3])
         assert flight.passages[-1, 0] == pytest.approx(flight.lap_ends[0], abs=0.01)
-    estimated = rows(flights, flights.frames.estimate.motion.position, 0)
-    error = np.abs(estimated - rows(flights, flights.frames.true.position, 0))
+    estimated = extract_rows(flights, flights.frames.estimate.motion.position, 0)
+    error = np.abs(estimated - extract_rows(flights, flights.frames.true.position, 0))
     assert 1e-5 < error.mean() < 0.05 and error.max() < 0.1
     centers = np.array([gate.position for gate in race.track.gates])
     log = log_quantities(flights, 0, centers)

@@ -14,7 +14,7 @@ def squares(step: quadjax.Step) -> list[jax.Array]:
     return [1e-6 * x**2 for x in jax.tree.leaves(step.drone.actuators)]
 
 
-OF_ROTORS = quadjax.Field("squares", 4, "", "body", value=squares, by_rotor=True)
+OF_ROTORS = quadjax.ObservedField("squares", 4, "", "body", value=squares, by_rotor=True)
 
 
 def linear(sizes: tuple[int, ...], seed: int = 0) -> dict[str, np.ndarray]:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax import Field, Memory
+from quadjax import Memory, ObservedField
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.plant import flight as onboard_flight
@@ -47,7 +47,7 @@ def observed(step):
 
 
 term.memory = MEMORY = Counter()
-COUNTER = Field("counter", 1, "", "", value=observed, memory=MEMORY)
+COUNTER = ObservedField("counter", 1, "", "", value=observed, memory=MEMORY)
 
 
 def test_a_term_and_a_field_share_a_memory():

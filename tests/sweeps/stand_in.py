@@ -72,7 +72,7 @@ def value_of(params) -> float:
     return 10.0 + abs(params[CLIP] - 0.2) * 50.0 + 100.0 * params[RATE]
 
 
-def measure(sweep, params, seed, folder, enough):
+def measure(sweep, params, seed, folder, stop_when):
     """Resume a counter of ticks in the trial's folder, and stop on request."""
     folder = folder.parent
     folder.mkdir(parents=True, exist_ok=True)
@@ -82,17 +82,17 @@ def measure(sweep, params, seed, folder, enough):
     for tick in range(int(ticks.read_text()) if ticks.exists() else 0, 10):
         time.sleep(SECONDS / 10)
         ticks.write_text(str(tick + 1))
-        if enough((tick + 1) / 10, value_of(params)):
+        if stop_when((tick + 1) / 10, value_of(params)):
             return None
     return value_of(params), 1.0
 
 
-def nothing(sweep, params, seed, folder, enough):
+def nothing(sweep, params, seed, folder, stop_when):
     """No training: every trial has the same value."""
     return 10.0, 1.0
 
 
-def impossible(sweep, params, seed, folder, enough):
+def impossible(sweep, params, seed, folder, stop_when):
     """A training that a config does not allow, where the clip is large."""
     if params[CLIP] > 0.2:
         raise InputError("track: the gates overlap")

@@ -164,13 +164,13 @@ def test_a_grid_holds_every_point_and_overrides_change_a_sweep(tmp_path):
     assert grid[RATE] == pytest.approx([1e-4, 1e-3, 1e-2])
     assert grid[EPOCHS] == [2, 4, 6] and grid[HIDDEN] == ["[8]", "[16, 16]"]
     assert sweep.trials == 54
-    config = sweep.config_of({key: values[-1] for key, values in grid.items()}, "seed=4")
+    config = sweep.make_config({key: values[-1] for key, values in grid.items()}, "seed=4")
     assert list(config.network.hidden) == [16, 16] and config.learner.num_epochs == 6
     assert config.learner.clip_range == 0.3 and config.learner.learning_rate == 1e-2
     changes = ["search.method=tpe", "budget.trials=9", f"space.{CLIP}={{range: [0.2, 0.4]}}"]
     sweep = load_sweep(path, [*changes, "overrides.learner.num_epochs=2", "name=other"])
     assert sweep.trials == 9 and sweep.file.name == "other" and sweep.space[CLIP].high == 0.4
-    assert sweep.config_of({CLIP: 0.25}).learner.num_envs == config.seed * 4 == 16
+    assert sweep.make_config({CLIP: 0.25}).learner.num_envs == config.seed * 4 == 16
 
 
 def test_the_base_is_a_preset_or_a_file_and_every_trial_is_evaluated_in_its_race(tmp_path):
@@ -180,17 +180,17 @@ def test_the_base_is_a_preset_or_a_file_and_every_trial_is_evaluated_in_its_race
     }
     sweep = load_sweep(sweep_file(tmp_path, space=varied, config="e2e_ppo"))
     params = {"randomization.thrust": 0.3, "start.position": 1.0}
-    race, base = sweep.config_of(params, *sweep.conditions), load_config(sweep.base)
+    race, base = sweep.make_config(params, *sweep.conditions), load_config(sweep.base)
     assert race.randomization.thrust == 0.0 and race.start.position == base.start.position
     assert race.learner.algorithm == "ppo"
     conditions = {"randomization": {"thrust": 0.1}}
     sweep = load_sweep(sweep_file(tmp_path, space=varied, conditions=conditions))
-    assert sweep.config_of(params, *sweep.conditions).randomization.thrust == 0.1
+    assert sweep.make_config(params, *sweep.conditions).randomization.thrust == 0.1
     tree = {"base": str(ROOT / "configs/e2e_ppo.yaml"), "learner": {"num_epochs": 7}}
     (tmp_path / "mine.yaml").write_text(to_yaml(tree))
     changes = {key: value for key, value in TINY.items() if key != "learner"}
     path = sweep_file(tmp_path, config="mine.yaml", overrides=changes)
-    assert load_sweep(path).config_of({CLIP: 0.2, RATE: 1e-3}).learner.num_epochs == 7
+    assert load_sweep(path).make_config({CLIP: 0.2, RATE: 1e-3}).learner.num_epochs == 7
 
 
 def test_a_study_takes_only_its_own_sweep_and_damage_is_one_line(tmp_path):
@@ -347,10 +347,10 @@ def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
     sweep, directory, study = open_small(tmp_path, search=search, objective={"seeds": 2, "runs": 2})
     stops = []
 
-    def measure(sweep, params, seed, folder, enough):
+    def measure(sweep, params, seed, folder, stop_when):
         def stop_once(fraction, value):
             stops.append(fraction)
-            return enough(fraction, value) or len(stops) == 2
+            return stop_when(fraction, value) or len(stops) == 2
 
         return train_and_fly(sweep, params, seed, folder, stop_once)
 

@@ -136,7 +136,7 @@ def test_each_worker_sees_its_gpu_and_more_workers_than_room_are_refused(tmp_pat
     assert sorted(path.read_text() for path in directory.glob("gpu*")) == ["3", "5"]
 
 
-def _wait_for_both(sweep, params, seed, folder, enough):
+def _wait_for_both(sweep, params, seed, folder, stop_when):
     folder = folder.parents[2]
     (folder / f"gpu{os.getpid()}").write_text(os.environ["CUDA_VISIBLE_DEVICES"])
     deadline = time.monotonic() + 60.0

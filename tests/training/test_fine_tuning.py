@@ -16,8 +16,8 @@ from quadjax.policy.file import Policy
 from quadjax.race import episode
 from quadjax.training.build import (
     initial_policy,
+    make_policy,
     make_training,
-    policy_of,
     start_state,
     untrained_policy,
 )
@@ -93,7 +93,7 @@ def test_a_training_starts_with_the_commands_of_the_file(race, tmp_path, recwarn
     warned = " ".join(str(each.message) for each in recwarn)
     assert bool(warned) == ("this race of [2500.0, 2500.0" in warned) == (race == "wider limits")
     state = start_state(config, run, initial)
-    trained = policy_of(config, state.params)
+    trained = make_policy(config, state.params)
     environment, own = make_race(first)
     drone = episode.hover_start(environment, own)
     for _ in range(8):

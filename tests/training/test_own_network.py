@@ -16,8 +16,8 @@ from quadjax.training import run as training
 from quadjax.training.build import (
     first_params,
     initial_policy,
+    make_policy,
     make_training,
-    policy_of,
     start_state,
     with_policy,
 )
@@ -100,7 +100,7 @@ def test_it_is_trained_saved_and_flown(learner, tmp_path):
 
 def test_its_class_is_imported_only_from_a_config_that_the_user_names(tmp_path):
     file = tmp_path / "own.npz"
-    policy_of(config_of(), first_params(config_of(), 0)).save(file)
+    make_policy(config_of(), first_params(config_of(), 0)).save(file)
     with pytest.raises(InputError, match=f"class {HERE}:Own; to import it, name a config"):
         Policy.load(file).mean(np.zeros(24, np.float32))
     with pytest.raises(InputError, match=f"its network is {HERE}:Own, the config has .*=null"):
@@ -112,7 +112,7 @@ def test_its_class_is_imported_only_from_a_config_that_the_user_names(tmp_path):
 def test_a_training_starts_from_its_parameters(tmp_path):
     file, config = tmp_path / "own.npz", config_of()
     params = first_params(config, 3)
-    policy_of(config, params).save(file)
+    make_policy(config, params).save(file)
     tuned = config_of(f"run.initial_policy={file}")
     state = start_state(tuned, make_training(tuned)[0], initial_policy(tuned))
     chex.assert_trees_all_equal(dict(state.params), dict(params))
@@ -127,14 +127,14 @@ def test_a_training_starts_from_its_parameters(tmp_path):
 
 def test_a_critic_that_observes_more_than_the_policy_is_left_out(tmp_path):
     config = config_of("randomization.all=0.1", "observation.critic_constants=true")
-    policy_of(config, first_params(config, 0)).save(tmp_path / "own.npz")
+    make_policy(config, first_params(config, 0)).save(tmp_path / "own.npz")
     read = Policy.load(tmp_path / "own.npz", config)
     assert not read.has_critic and read.mean(np.zeros(read.layout.size)).shape == (4,)
 
 
 @pytest.mark.parametrize("module", [5, [], "", "no colon", "a:" + 5000 * "b"])
 def test_a_file_names_a_class_by_a_short_text(module, tmp_path):
-    policy_of(config_of(), first_params(config_of(), 0)).save(tmp_path / "own.npz")
+    make_policy(config_of(), first_params(config_of(), 0)).save(tmp_path / "own.npz")
     with np.load(tmp_path / "own.npz") as file:
         arrays = dict(file)
     meta = json.loads(str(arrays["meta"])) | {"module": module}
@@ -149,7 +149,7 @@ def test_a_file_names_a_class_by_a_short_text(module, tmp_path):
 
 def test_it_is_not_converted_to_c():
     with pytest.raises(InputError, match=f"network is {HERE}:Own, allowed: a perceptron"):
-        check_policy(policy_of(config_of(), first_params(config_of(), 0)))
+        check_policy(make_policy(config_of(), first_params(config_of(), 0)))
 
 
 WRONG = {

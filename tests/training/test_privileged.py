@@ -11,12 +11,12 @@ from quadjax.core.errors import InputError
 from quadjax.learners.networks import mean_action, predict_value
 from quadjax.learners.schedules import Training
 from quadjax.training.build import (
+    critic_constants,
     first_params,
     input_scale,
     make_network,
+    make_policy,
     make_training,
-    policy_of,
-    privileged_constants,
     training_environment,
     with_policy,
 )
@@ -29,7 +29,7 @@ OWN = ("randomization={thrust: 0.2, lag: 0.1}", "observation.critic_constants=tr
 def test_the_observation_of_training_ends_with_the_drawn_constants():
     config, (plain, params) = make_config(*OWN), make_race(make_config(OWN[0]))
     environment = training_environment(config)
-    assert privileged_constants(config) == (("k_w", 0.2), ("tau", 0.1))
+    assert critic_constants(config) == (("k_w", 0.2), ("tau", 0.1))
     assert environment.observation_size == plain.observation_size + 2
     state = jax.jit(plain.reset)(params, jax.random.key(1))
     seen = jax.jit(environment.observe)(params, state)
@@ -51,7 +51,7 @@ def test_only_the_value_takes_them():
     mean, value = (jax.jit(functools.partial(f, network)) for f in (mean_action, predict_value))
     np.testing.assert_array_equal(mean(params, seen), mean(params, other))
     assert abs(value(params, seen) - value(params, other)) > 1e-3
-    policy = policy_of(config, params)
+    policy = make_policy(config, params)
     assert policy.layers[0][0].shape[0] == policy.layout.size == size - 2
     assert policy.value is None
     action = policy.mean(seen[:-2] / np.float32(input_scale(config)))
@@ -60,7 +60,7 @@ def test_only_the_value_takes_them():
 
 def test_a_policy_with_a_critic_of_another_size_gives_its_policy_only():
     plain = make_config(OWN[0], SMALL)
-    policy = policy_of(plain, first_params(plain, 3))
+    policy = make_policy(plain, first_params(plain, 3))
     params = first_params(make_config(*OWN, SMALL), 0)
     found = with_policy(params, policy, 1.0)
     assert found["critic"] is params["critic"] and policy.value is not None
@@ -71,7 +71,7 @@ def test_scheduled_draws_are_observed_only_where_there_is_a_width():
     scheduled = "schedules={randomization.all: {linear: [0.0, 0.2]}}"
     with pytest.raises(InputError, match="critic_constants is true, allowed: false where rand"):
         make_config(scheduled, OWN[1])
-    assert privileged_constants(make_config("randomization.all=0.2", scheduled, OWN[1]))
+    assert critic_constants(make_config("randomization.all=0.2", scheduled, OWN[1]))
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", pytest.param("shac", marks=pytest.mark.slow)])

@@ -11,12 +11,12 @@ from rich.console import Console
 from quadjax.config.assembly import make_params
 from quadjax.config.loading import load_config
 from quadjax.core.traced import with_leaves
-from quadjax.learners.loop import Progress
+from quadjax.learners.loop import ChunkResult
 from quadjax.race.laps import OUT_OF_TIME, Laps
 from quadjax.race.rules import TERMINATIONS
 from quadjax.training import progress, score
 from quadjax.training.checkpoint import RunState
-from quadjax.training.progress import TrainingProgress, describe
+from quadjax.training.progress import ProgressBar, describe
 from quadjax.training.score import CHANGES, no_lap
 from tests.race.support import BLANK
 from tests.surface.short import short_config
@@ -35,7 +35,7 @@ ROW = {
 def printed(name, row, note=""):
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=True, width=80, color_system=None)
-    with TrainingProgress(20_000_000, name, "6 laps", console) as display:
+    with ProgressBar(20_000_000, name, "6 laps", console) as display:
         display.show(row)
         display.note(note)
     return stream.getvalue()
@@ -64,7 +64,7 @@ def test_a_compilation_shows_its_seconds(monkeypatch, capsys):
         now, stream = [100.0], io.StringIO()
         monkeypatch.setattr(progress.time, "monotonic", lambda now=now: now[0])
         console = Console(file=stream, force_terminal=terminal, width=80, color_system=None)
-        with TrainingProgress(1000, "run", "1 lap", console) as display:
+        with ProgressBar(1000, "run", "1 lap", console) as display:
             for seconds in (0, 9, 11, 20, 21.4):
                 now[0] = 100.0 + seconds
                 display.compiling()
@@ -121,7 +121,7 @@ def test_the_best_policy_is_the_latest_of_equal_scores():
     found, kept = RunState(state=None, best="none"), []
     for chunk, total in enumerate([np.inf, 15.0, 14.0, 14.0, 16.0, np.inf]):
         state = types.SimpleNamespace(evaluated=str(chunk))
-        found = found.after(Progress(state, 100 * (chunk + 1), {}, 1.0), total, 1.0)
+        found = found.after(ChunkResult(state, 100 * (chunk + 1), {}, 1.0), total, 1.0)
         kept.append((found.best, found.best_score, found.best_steps))
     assert kept[:3] == [("0", np.inf, 100), ("1", 15.0, 200), ("2", 14.0, 300)]
     assert kept[3:] == [("3", 14.0, 400)] * 3

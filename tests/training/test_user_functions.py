@@ -9,7 +9,7 @@ import optax
 import pytest
 
 import quadjax
-from quadjax import Field, Learner, TrainState
+from quadjax import Learner, ObservedField, TrainState
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.evaluation.advice import look
@@ -29,7 +29,7 @@ def attribute(step):
     return step.nosuch
 
 
-THREE = Field("three", 1, "m", "world", value=lambda view: [0.0] * 3)
+THREE = ObservedField("three", 1, "m", "world", value=lambda view: [0.0] * 3)
 
 
 class Own(Learner):
@@ -74,7 +74,7 @@ reward.terms={OWN:attribute: 1.0} | OWN:attribute: AttributeError: 'Step' object
 rules.extra=['sys:exit'] | rule sys:exit: SystemExit:
 learner.algorithm=OWN:Leaves | learner.algorithm OWN:Leaves: SystemExit: 3 (
 observation.extra=['OWN:THREE'] | field 'three' gives 3 numbers, expected one number (its size)
-observation.extra=['OWN:vector'] | OWN:vector is a function, expected a quadjax.Field
+observation.extra=['OWN:vector'] | OWN:vector is a function, expected a quadjax.ObservedField
 learner.algorithm=OWN:NoSteps | steps_per_update of NoSteps is None, allowed: an integer, 1 to
 learner.algorithm=OWN:NoUpdate | NoUpdate has no update(task, state), allowed
 learner.algorithm=OWN:NoState | NoState: init gives ShapeDtypeStruct(

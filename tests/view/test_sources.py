@@ -11,7 +11,7 @@ from quadjax.evaluation import sources
 from quadjax.evaluation.sources import load_flights
 from quadjax.fitting.flight_log import log_flight
 from quadjax.flights.files import lap_times, load, save
-from quadjax.view.data import page_record, title_of
+from quadjax.view.data import make_title, page_record
 from tests.commands import run
 from tests.view.scenes import GATES, circle
 
@@ -50,7 +50,7 @@ def test_a_page_names_what_flies_and_tells_sources_apart(tmp_path):
     ):
         named = [f.replace(name=name) for f, name in zip(flights, names, strict=True)]
         assert (
-            title_of([*named, lap_times("paper", [1.0])], "hall" if "log" in names else "")
+            make_title([*named, lap_times("paper", [1.0])], "hall" if "log" in names else "")
             == wanted
         )
     for folder in ("mine", "yours"):
