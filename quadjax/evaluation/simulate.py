@@ -133,10 +133,7 @@ def _starts(
         return starts_before_gate(environment, params, jax.random.split(key, runs))
     if start == "random":  # a compiled program rounds random starts differently
         return race.starting_states(environment, params, key, runs, from_hover=False)
-    return hover_starts(environment, params, key, runs, True, start == "around")
-
-
-hover_starts = jax.jit(race.starting_states, static_argnums=(0, 3, 4, 5))
+    return race.hover_starts(environment, params, key, runs, True, start == "around")
 
 
 def _longest(tracks: Track) -> Track:
