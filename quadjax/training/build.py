@@ -30,6 +30,8 @@ from quadjax.race.types import RaceParams, RaceState
 from quadjax.vehicle.registry import base_model
 from quadjax.vehicle.residual import is_shipped, read_residual
 
+# For a program that runs once: 1.8 instead of 2.5 s of CPU time to compile, and the same bits.
+QUICK = {"xla_backend_optimization_level": 1}
 REFERENCE_LEG_M, REFERENCE_TIME_S = 3.5, 0.43  # m and s, of the paper's track and the Bebop 1
 
 
@@ -112,7 +114,8 @@ def start_state(config: Config, training: Training, initial: Policy | None = Non
 
     The target and the moving average of the parameters, where there are any, start from it too.
     """
-    state = jax.jit(Training.init)(training, jax.random.key(config.seed))
+    init = jax.jit(Training.init, compiler_options=QUICK)
+    state = init(training, jax.random.key(config.seed))
     if initial is None:
         return state
     start = with_policy(state.params, initial, reward_scale(config), input_scale(config))
