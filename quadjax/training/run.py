@@ -2,10 +2,11 @@
 
 import contextlib
 import dataclasses
+import gc
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
@@ -144,7 +145,9 @@ def _run(
     elif resume and display is not None:
         display.note(f"{folder}: no checkpoint to resume from, starting a new run")
     fly = make_flights(job.config, job.training.task.env_params)
-    chunk, first = _compile(job, fly, None if restored is None else restored.state, stop, display)
+    with _garbage_kept():
+        state = None if restored is None else restored.state
+        chunk, first = _compile(job, fly, state, stop, display)
     run_state = restored or RunState(state=first, best=jax.device_get(first.evaluated))
     if restored is not None:
         started = time.monotonic() - restored.seconds
@@ -195,6 +198,21 @@ def _save(job: _Job, folder: Path, checkpoints: Checkpoints, run_state: RunState
     best.save(folder / "policy.npz")
     trained_policy(job.config, last, steps).save(folder / "policy_last.npz")
     write_summary(job.config, folder, run_state, job.mesh.size, steps >= job.plan.steps)
+
+
+@contextlib.contextmanager
+def _garbage_kept() -> Iterator[None]:
+    """Python's garbage collector is off: it visits the many objects of a trace again and again.
+
+    Without it, the compilation of `e2e` takes 0.7 s of 19.5 s of CPU time less.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _compile(
