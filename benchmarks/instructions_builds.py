@@ -6,14 +6,15 @@ import shutil
 import sys
 from collections.abc import Callable
 
-from quadjax.export.verify.result import Skipped
-from quadjax.export.verify.toolchain import Compiler, has_module
+from quadjax.export.compiler import Compiler, Skipped, has_module
 
-ZIG = "-O3 -std=c99 -nostdlib -fno-sanitize=all -Wl,--image-base=0x10000 -Wl,--no-gc-sections"
+ZIG = "-DBENCH_MATH=1 -fno-math-errno -O3 -std=c99 -fno-sanitize=all -Wl,--image-base=0x10000"
 PAPARAZZI = "-mfloat-abi=softfp -mfpu=vfp -march=armv7-a -mtune=cortex-a8 -O3 -std=gnu99 -static"
 # Betaflight's and INDIflight's flags for STM32F7 and H7.
 FPU = {"cortex-m7": ("fp_armv8d16sp", "fpv5-sp-d16"), "cortex-m4": ("vfp4d16sp", "fpv4-sp-d16")}
-FREESTANDING = "-nostdlib -nostartfiles -ffreestanding".split()
+WITH_MATH = (
+    "-nostartfiles -lm -lc -lgcc -Wl,--defsym=_init=0,--defsym=_fini=0".split()
+)  # after the sources
 
 
 def zig(target: str, cpu: str) -> Compiler:
@@ -55,6 +56,11 @@ class Build:
     make: Callable[[], Compiler]
     neon: bool = False
     options: tuple[str, ...] = ()
+
+    @property
+    def has_math(self) -> bool:
+        """Whether the C library's functions are linked; without, a step is no measurement."""
+        return "zig" not in self.label
 
 
 BUILDS = {  # by target

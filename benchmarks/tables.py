@@ -10,7 +10,7 @@ from benchmarks.settings import Tree
 from benchmarks.steps import PARTS, STEPS
 
 CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
-BODIES = ("body", "hall")
+BODIES, COUNTS = ("body", "hall"), ("inference", "step", "stack", "start", "flash")
 README = {"e2e": "the published reward", "e2e +fastest": "time only"}
 Data = dict[str, list[Tree]]  # the rows of each file
 
@@ -60,6 +60,7 @@ def of_readme(data: Data) -> list[Tree]:
 COLUMNS: dict[str, Callable[[Tree], str]] = {
     "name": lambda row: f"`{row['name']}`",
     "file": lambda row: f"`{row['policy']}`",
+    **{key: lambda row, key=key: f"{row[key]:,}" if row[key] else "-" for key in COUNTS},
     "race": lambda row: f"`{' '.join(row['race'])}`",
     "policy": lambda row: row["label"],
     **{f"{c}, s": lambda row, c=c: spread(row["total"].get(c)) for c in CONDITIONS},
@@ -76,6 +77,7 @@ BODY = "sampled|with a body=body|body and hall=hall|random starts"
 BODY += "|random starts, with a body=random starts, body"
 SCORED = "drones and seeds|score, s|of each seed, s|time, s|finished"
 OF_PARTS = "E2E=contender|drones and seeds|score, s|of each seed, s|finished|simulated, s"
+OF_STEPS = f"step=contender|{SCORED}"
 LEADS = "score, s|first lap, s|each later lap, s"
 MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"
 TABLES = {
@@ -92,10 +94,9 @@ TABLES = {
     "charge": Table("plant", "name|" + "|".join(CHARGES), charged),
     "tournament": Table("tournament", f"contender|{SCORED}", contenders),
     "leads": Table("tournament", f"lead of E2E|{LEADS}", lead_rows),
-    "interventions": Table(
-        "interventions", f"step=contender|{SCORED}", lambda data: steps(data, STEPS)
-    ),
+    "interventions": Table("interventions", OF_STEPS, lambda data: steps(data, STEPS)),
     "without": Table("interventions", OF_PARTS, lambda data: steps(data, PARTS)),
+    "instructions": Table("instructions", "policy=file|build|" + "|".join(COUNTS)),
     "effects": Table("interventions", "from|to|trainings|saved, s", effects),
 }
 
@@ -104,7 +105,6 @@ def cell(row: Tree, column: str) -> str:
     """The text of a row in a column."""
     if column in COLUMNS:
         return COLUMNS[column](row)
-    value = row[column]
-    if isinstance(value, list):
+    if isinstance(value := row[column], list):
         return spread(value)
     return f"{value:.2f}" if isinstance(value, float) else str(value)

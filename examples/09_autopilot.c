@@ -2,10 +2,10 @@
 #include "qj_pilot.h"
 #include "racer.h" /* written by quadjax export */
 
-#define LOOP_US 2000U /* period of the autopilot's loop: 500 Hz */
+#define LOOP_HZ 500 /* of the autopilot's loop */
 
 typedef struct { /* filled by the autopilot: north-east-down, forward-right-down, SI */
-  uint32_t time_us;
+  uint32_t time_us, position_us;
   float position[3], velocity[3], rates[3], quaternion[4], thrust;
 } estimate_t;
 
@@ -13,18 +13,16 @@ static qj_pilot pilot;
 
 /* At start-up. Returns 0, or why the policy cannot fly: then refuse to arm. */
 const char *policy_setup(void) {
-  const qj_interface interface = {
-      QJ_GIVES(QJ_EULER) | QJ_GIVES(QJ_QUATERNION) | QJ_GIVES(QJ_THRUST), /* what the autopilot measures */
-      QJ_GIVES(QJ_RATES_THRUST),                                          /* the commands that it takes */
-      1000U * LOOP_US};
-  return qj_pilot_load(&pilot, racer_words, sizeof(racer_words), &interface);
+  return qj_pilot_start(&pilot, &racer_policy, QJ_DEFAULT_KERNEL, (float)LOOP_HZ);
 }
 
 /* Call in every loop. active: whether the policy's mode is on; if not, the next race is prepared.
  * command: p, q, r and specific thrust, all 0 if the estimate is lost (QJ_LOST). */
 qj_pilot_status policy_loop(uint32_t now_us, const estimate_t *estimate, uint32_t active,
                             float command[QJ_COMMANDS]) {
-  qj_vehicle vehicle = {.time_us = estimate->time_us, .thrust = {estimate->thrust}};
+  qj_vehicle vehicle = {.time_us = estimate->time_us,
+                        .position_us = estimate->position_us,
+                        .thrust = estimate->thrust};
   for (int i = 0; i < 4; ++i) {
     vehicle.quaternion[i] = estimate->quaternion[i];
   }
@@ -33,7 +31,6 @@ qj_pilot_status policy_loop(uint32_t now_us, const estimate_t *estimate, uint32_
     vehicle.velocity[i] = estimate->velocity[i];
     vehicle.rates[i] = estimate->rates[i];
   }
-  qj_euler_of(vehicle.quaternion, vehicle.euler);
   if (active == 0U) {
     qj_pilot_wait(&pilot, &vehicle);
     return QJ_HELD;

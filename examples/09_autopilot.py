@@ -10,7 +10,8 @@ import quadjax
 
 GLUE = Path(__file__).with_name("09_autopilot.c")
 VECTORS = {"position": 3, "velocity": 3, "rates": 3, "quaternion": 4, "thrust": 1}  # float32
-ESTIMATE = [("time_us", "<u4"), *((name, "<f4", size) for name, size in VECTORS.items())]
+TIMES = [("time_us", "<u4"), ("position_us", "<u4")]
+ESTIMATE = [*TIMES, *((name, "<f4", size) for name, size in VECTORS.items())]
 
 
 def main():
@@ -32,7 +33,7 @@ def main():
     estimate["velocity"], estimate["thrust"] = ahead, 9.81
     places = [ctypes.c_void_p(array.ctypes.data) for array in (estimate, command)]
     for loop in range(1000):  # of 500 Hz: from 1 m before the gate to 1 m behind it
-        estimate["time_us"] = 2000 * loop
+        estimate["time_us"] = estimate["position_us"] = 2000 * loop
         estimate["position"] = np.array(gate.position) + (loop / 500.0 - 1.0) * ahead
         autopilot.policy_loop(2000 * loop, places[0], 1, places[1])
         if loop % 250 == 0:

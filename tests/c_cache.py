@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from quadjax.export.verify.result import Failed
-from quadjax.export.verify.toolchain import Compiler
+from quadjax.export.compiler import Compiler, Failed
 
 
 @pytest.fixture(scope="session", autouse=True)

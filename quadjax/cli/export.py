@@ -39,9 +39,9 @@ def export(
 ) -> None:
     """Convert a policy file to fixed-point C.
 
-    DIR gets the network, the observation, the estimators and the self-tests as a
-    .qjp file and as a table in C, the C runtime, the glue of the target, and a report
-    of proofs and measurements. The command quadjax verify DIR builds and runs it.
+    DIR gets the network, the observation, the gates, the estimators and self-tests
+    as constant arrays in NAME.h, the C runtime, the glue of the target, and a report of
+    proofs and measurements. The command quadjax verify DIR builds and runs it.
 
     Example: quadjax export e2e --output out --target cortex-a9
 
@@ -49,7 +49,7 @@ def export(
         policy: Policy file, or a shipped one's name.
         output: Folder for the C.
         target: Processor and autopilot.
-        name: Name of the .qjp file and of the table in C (default: the file's name).
+        name: Name of the header and of the policy in it (default: the file's name).
         range_: Declare +-R for an input instead of the default, a power of two:
             position=16; may be repeated.
         race: Training config of the policy's race (default: the one in the policy file).
@@ -81,7 +81,7 @@ def export(
         overwrite=overwrite,
     )
     print(result.text)
-    wrote(*(output / file for file in sorted(result.converted.files())))
+    wrote(*(output / file for file in sorted(result.converted.files)))
     wrote(output / f"{result.name}_report.txt", output / f"{result.name}_report.json")
     print(f"Next: {verification(output, allow_unfinished, allow_other_race)}")
     print(f"Then: {quadjax_command('sil', output)}")

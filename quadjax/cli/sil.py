@@ -21,11 +21,12 @@ if TYPE_CHECKING:
     from quadjax.sil.run import Flown
 
 STOPPING = b"\nstopping: a flight that has begun is saved; Ctrl-C again ends without saving\n"
-FAULTS = Group("Faults in states and commands", sort_key=2)
+FAULTS = Group("Faults of the states", sort_key=2)
 UNITS = tuple(WRONG_UNITS)
 PLANT, DELAY = "cyberzoo", 20.0  # ms
-OF_NAN = f"FIELD=P with P of 0 to 1 and FIELD one of {', '.join(FIELDS)}"
-Nan = Annotated[str, opt.named_number(OF_NAN, lambda p: 0.0 <= p <= 1.0, tuple(FIELDS))]
+OF_FIELD = f"FIELD=P with P of 0 to 1 and FIELD one of {', '.join(FIELDS)}"
+OfField = Annotated[str, opt.named_number(OF_FIELD, lambda p: 0.0 <= p <= 1.0, tuple(FIELDS))]
+OfFields = Annotated[tuple[OfField, ...] | None, Parameter(metavar="FIELD=P", group=FAULTS)]
 Probability = Annotated[float, opt.number(0.0, 1.0, metavar="P", group=FAULTS)]
 
 
@@ -43,7 +44,8 @@ def sil(
     drop: Probability = 0.0,
     late: Probability = 0.0,
     delay: Annotated[float | None, opt.number(0.0, 10_000.0, metavar="MS", group=FAULTS)] = None,
-    nan: Annotated[tuple[Nan, ...] | None, Parameter(metavar="FIELD=P", group=FAULTS)] = None,
+    stuck: OfFields = None,
+    nan: OfFields = None,
     wrong_unit: Annotated[list[str] | None, Parameter(choices=UNITS, group=FAULTS)] = None,
     view: opt.Flag = False,
     name: opt.RunName = "sil",
@@ -53,27 +55,26 @@ def sil(
     """Fly exported C on a simulated drone: software in the loop.
 
     The C of DIR, a folder of quadjax export, or that of a policy is compiled for
-    this machine: the glue of the target's autopilot, in a stand-in for its
-    firmware. It gets the drone's state at every control step and returns the
-    command. The drone is a plant; key=value overrides change its config. With
-    --simulator, it is the simulator that policies are trained in, which the
-    models racing and a2rl need. OUTPUT/NAME gets states.npz (for quadjax view and
-    quadjax report), sil.json and table.txt.
+    this machine, without the glue of an autopilot. It gets the drone's state at
+    every control step and returns the command. The drone is a plant; key=value
+    overrides change its config. With --simulator, it is the simulator that policies
+    are trained in, which the models racing and a2rl need. OUTPUT/NAME gets
+    states.npz (for quadjax view and quadjax report), sil.json and table.txt.
 
     Example: quadjax sil e2e --late 0.2 --delay 20
 
     Args:
-        source: Folder of quadjax export, NAME.qjp in it, a policy file, or a shipped policy's
-            name.
+        source: Folder of quadjax export, a policy file, or a shipped policy's name.
         target: Processor and autopilot of a policy; that of DIR for a folder.
         race: Config of the race (default: config.yaml of DIR, or that of the policy).
         simulator: Fly in the simulator of the training.
         laps: Laps of a run (default: evaluate.laps).
         runs: Number of runs.
         seed: Seed of drones and faults.
-        drop: Probability that a state or command is dropped.
-        late: Probability that a state or command is late.
-        delay: Delay of late states and commands, ms (default: 20).
+        drop: Probability that a state is lost.
+        late: Probability that a state is late.
+        delay: Delay of late states, ms (default: 20).
+        stuck: A field of a state has the numbers of the state before; may be repeated.
         nan: A number of a state's field is NaN; may be repeated.
         wrong_unit: Unit of a state's field; may be repeated.
         view: Show the flight in the browser.
@@ -87,12 +88,13 @@ def sil(
     plant, target = plant or PLANT, target or DEFAULT_TARGET
     if simulator and overrides:
         raise InputError(f"{overrides[0]} has no effect with --simulator")
-    nans, units = opt.by_name("--nan", nan), tuple(wrong_unit or ())
+    stuck_at, nans = opt.by_name("--stuck", stuck), opt.by_name("--nan", nan)
+    units = tuple(wrong_unit or ())
     with loading():
         from quadjax.plant.config import load_plant_config
         from quadjax.sil.run import FILES, Setting, fly_all
 
-    faults = Faults(drop, late, (DELAY if delay is None else delay) / 1000.0, nans, units)
+    faults = Faults(drop, late, (DELAY if delay is None else delay) / 1000.0, stuck_at, nans, units)
     drone = None if simulator else load_plant_config(plant, overrides)
     setting = Setting(source, drone, laps, runs, seed, faults, race, target)
     folder = output / name
@@ -126,15 +128,11 @@ def _shown(flown: "Flown", folder: Path, view: bool, source: str) -> int:
 
 
 def _source_of(source: Path) -> Path:
-    """The folder of an export, from itself or from the words in it, or a policy file.
+    """The folder of an export, or a policy file.
 
     Raises:
         InputError: there is none; with what to run instead.
     """
-    if source.suffix == ".qjp" and source.is_file():
-        if kind_of(source.parent) != KIND:
-            raise InputError(f"{source}: it names no race; give the folder of quadjax export")
-        source = source.parent
     if source.is_dir() and kind_of(source) == KIND:
         report_of(source)
         return source

@@ -17,11 +17,10 @@ from quadjax.core.folders import claim, replacement
 from quadjax.core.precision import single_precision
 from quadjax.core.provenance import provenance
 from quadjax.core.resources import policy_file
-from quadjax.export import emulator
+from quadjax.export import emulator, flights
 from quadjax.export.conversion import Converted, Options, convert_policy
-from quadjax.export.disturbances import CUTOFF, SAMPLE_RATE, check_cutoff
-from quadjax.export.flights import SEED, Rollouts
-from quadjax.export.inner_loop import FILE as INNER_LOOP
+from quadjax.export.estimators import CUTOFF, SAMPLE_RATE, check_cutoff
+from quadjax.export.flights import SEED
 from quadjax.export.names import (
     CONFIG_FILE,
     KIND,
@@ -39,7 +38,7 @@ from quadjax.export.targets import DEFAULT_TARGET, TARGETS, find_target, runtime
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy, warn_of_other_race
 
-FOLDERS = ("paparazzi", "indiflight", "qjp", "c")
+FOLDERS = ("paparazzi", "indiflight", "c")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,7 +68,7 @@ class Export:
 
         The observations are as ``Policy.mean`` takes them; the result has the bits of the C.
         """
-        return emulator.commands(self.converted.fixed.network, observations)
+        return emulator.commands(self.converted.in_c.network, observations)
 
 
 @single_precision
@@ -89,9 +88,9 @@ def export_c(
     overwrite: bool = False,
     sampled: bool = False,
 ) -> Export:
-    """Write a policy as words, with the C runtime that flies them and an autopilot's files.
+    """Write a policy as constant arrays in C, with the runtime and an autopilot's files.
 
-    The policy is converted to integers, the conversion is proven for every input in the declared
+    The network is converted to integers, the conversion is proven for every input in the declared
     ranges, and the policy's own race is simulated. Nothing is written unless all of that succeeds.
 
     Args:
@@ -101,7 +100,7 @@ def export_c(
             Without it: the config in the policy file.
         ranges: half-widths of the inputs that differ from the defaults, powers of two, by name:
             ``{"position": 16.0}``.
-        name: name of the files and of the table in C; the policy file's name by default.
+        name: name of the header and of the policy in it; the policy file's name by default.
         track: a track file that replaces the config's.
         sample_rate: sample rate of the estimators on board, Hz; 512 by default.
         cutoff: cut-off of the disturbance estimator's low-pass, Hz; 8 by default.
@@ -114,7 +113,7 @@ def export_c(
             does; the mean action otherwise.
 
     Returns:
-        The integers, the proof and the report.
+        The numbers in C, the proof and the report.
 
     Raises:
         InputError: no such target; a sample rate or cut-off out of range, or one for a vehicle
@@ -132,7 +131,7 @@ def export_c(
     folder = Path(folder)
     file = POLICY_FILE if isinstance(policy, Policy) else policy_file(policy).name
     symbol = symbol_name(name, file)
-    inputs = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, INNER_LOOP)
+    inputs = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE)
     files = (*inputs, f"{symbol}[._]*", *FOLDERS)
     check_new_folder(folder, symbol, overwrite)
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
@@ -141,8 +140,12 @@ def export_c(
         options = Options(symbol, *numbers, *allowed, target, sampled)
         converted = convert_file(path, options, config, track)
         _check_rates(converted, sample_rate, cutoff)
+        rollouts = flights.simulate(converted.race)
+        if not allow_unfinished:
+            flights.check_finished(rollouts.laps, converted.race, converted.file)
+        converted.in_c.network.box.check(rollouts.observations)
         source = provenance(converted.race.config, path, SEED)
-        report = make_report(converted) | {"provenance": source}
+        report = make_report(converted, rollouts.thinned()) | {"provenance": source}
         export = Export(folder, converted, report)
         with writing(folder), replacement(folder, _optional(symbol)) as new:
             _write(export, new, path)
@@ -155,9 +158,8 @@ def convert_file(
     options: Options,
     config: Path | str | Config | None = None,
     track: str | None = None,
-    rollouts: Rollouts | None = None,
 ) -> Converted:
-    """Convert a policy file; the arguments are those of ``export_c`` and ``convert_policy``."""
+    """Convert a policy file, without simulated flights; the arguments are those of ``export_c``."""
     policy = Policy.load(path)
     check_policy(policy)
     target_of(options.target, policy.vehicle)
@@ -167,13 +169,13 @@ def convert_file(
     race = policy_race(config, policy, origin, path.name)
     if not options.allow_other_race:
         check_race(policy, race, path)
-    return convert_policy(policy, race, options, path.name, path, rollouts)
+    return convert_policy(policy, race, options, path.name, path)
 
 
 def _check_rates(converted: Converted, sample_rate: float | None, cutoff: float | None) -> None:
     """Reject options of estimators that the policy does not have."""
-    fixed = converted.fixed
-    used = {"sample rate": fixed.estimator or fixed.battery, "cut-off": fixed.estimator}
+    in_c = converted.in_c
+    used = {"sample rate": in_c.disturbance or in_c.battery, "cut-off": in_c.disturbance}
     for (name, tables), value in zip(used.items(), (sample_rate, cutoff), strict=True):
         if value is not None and tables is None:
             raise InputError(
@@ -199,7 +201,7 @@ def _optional(name: str) -> tuple[str, ...]:
     for target in TARGETS.values():
         sources = ("qj_sizes.h", "quadjax_policy.h", f"{name}.h")
         files += [*runtime_files(target), *(f"{target.folder}/{file}" for file in sources)]
-    return (*dict.fromkeys(files), RESIDUAL_FILE, INNER_LOOP)
+    return (*dict.fromkeys(files), RESIDUAL_FILE)
 
 
 def _remove_empty(folder: Path) -> None:
@@ -214,7 +216,7 @@ def _remove_empty(folder: Path) -> None:
 def _write(export: Export, folder: Path, policy: Path) -> None:
     """The C, the report, and the inputs from which the verification repeats the conversion."""
     converted, name = export.converted, export.name
-    files = converted.files() | {
+    files = converted.files | {
         f"{name}_report.txt": export.text.encode(),
         CONFIG_FILE: converted.race.text.encode(),
     }

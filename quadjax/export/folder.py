@@ -8,10 +8,9 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, read_json
 from quadjax.export.conversion import Converted, Options, convert_policy, sha256
-from quadjax.export.disturbances import check_cutoff
+from quadjax.export.estimators import check_cutoff
 from quadjax.export.names import CONFIG_FILE, POLICY_FILE, report_of, symbol_name
 from quadjax.export.race_source import policy_race
-from quadjax.export.read import read_qjp
 from quadjax.export.report import report_text
 from quadjax.export.targets import find_target
 from quadjax.policy.file import Policy
@@ -39,10 +38,9 @@ def read_folder(path: Path, config: Config | Path | str | None = None) -> Conver
     elif not isinstance(config, Config):
         config = load_config(config)
     race = policy_race(config, policy, CONFIG_FILE, file)
-    cases = read_qjp(path / f"{options.name}.qjp").cases
-    converted = convert_policy(policy, race, options, file, path / POLICY_FILE, cases=cases)
+    converted = convert_policy(policy, race, options, file, path / POLICY_FILE)
     texts = {f"{options.name}_report.txt": text.encode("utf-8")}
-    for name, content in (converted.files() | texts).items():
+    for name, content in (converted.files | texts).items():
         check_file(path / name)
         if (path / name).read_bytes() != content:
             raise InputError(

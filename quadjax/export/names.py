@@ -27,7 +27,7 @@ HEADERS = frozenset(  # of C, POSIX, firmware, all that the runtime includes, an
     abi actuators autopilot board build_config common config debug drivers freertos generated led
     main motor paparazzi pinmux platform rc servo state std system types uart utils version
     arm_math arm_neon auxv cmsis_compiler cmsis_gcc core_cm4 core_cm7 firmware preflight_checks
-    sys_time telemetry
+    gps low_pass_filter stabilization stabilization_indi_simple sys_time telemetry
     aux con nul prn
     """.split()
 )
@@ -106,7 +106,7 @@ def report_of(folder: Path) -> Path:
     """
     if not folder.is_dir():
         fault = "is a file" if folder.exists() else "no such folder"
-        raise InputError(f"{folder}: {fault}, expected a folder of quadjax export, or a .qjp file")
+        raise InputError(f"{folder}: {fault}, expected a folder of quadjax export")
     check_kind(folder, KIND)
     reports = sorted(folder.glob(f"*{REPORT}"))
     if len(reports) != 1:

@@ -97,4 +97,4 @@ def check_race(policy: Policy, race: PolicyRace, file: Path) -> str:
             f"{file.name}: trained in another race than {race.origin}: {difference}; "
             "--allow-other-race accepts it"
         )
-    return "vehicle, track, rules and battery are those of the policy file"
+    return "the race of the policy file"

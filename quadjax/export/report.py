@@ -11,9 +11,10 @@ import numpy as np
 
 from quadjax.core import mlp
 from quadjax.export import emulator
-from quadjax.export.cases import uniform_samples
 from quadjax.export.conversion import Converted, sha256
+from quadjax.export.flights import Rollouts
 from quadjax.export.integers import WORD
+from quadjax.export.network import FixedNetwork
 from quadjax.policy.file import Policy
 
 BOX_SAMPLES = 20_000
@@ -30,12 +31,17 @@ def float64_commands(policy: Policy, observations: np.ndarray) -> np.ndarray:
     return low + 0.5 * (high - low) * (np.clip(y, -1.0, 1.0) + 1.0)
 
 
-def make_report(converted: Converted) -> Json:
+def uniform_samples(network: FixedNetwork, count: int, seed: int) -> np.ndarray:
+    """Observations (count, inputs) float32, uniform in the declared ranges."""
+    shape = (count, network.inputs)
+    uniform = np.random.default_rng(seed).uniform(-1.0, 1.0, shape)
+    return (uniform * network.box.ranges).astype(np.float32)
+
+
+def make_report(converted: Converted, rollouts: Rollouts) -> Json:
     """Proven bounds and measurements, as a JSON value; ``verify`` reads the options from it."""
-    fixed, rollouts = converted.fixed, converted.rollouts
-    assert rollouts is not None and rollouts.laps is not None
-    laps = rollouts.laps
-    network, box, race = fixed.network, fixed.network.box, converted.race
+    in_c, laps = converted.in_c, rollouts.laps
+    network, box, race = in_c.network, in_c.network.box, converted.race
     unit = 2.0**network.fraction_bits
     inputs = zip(box.layout.labels, box.ranges.tolist(), box.units, strict=True)
     samples = {
@@ -43,7 +49,6 @@ def make_report(converted: Converted) -> Json:
         "simulated": rollouts.observations,
     }
     report: Json = {
-        "format_version": fixed.version,
         "vehicle": network.model.name,
         "unit": network.unit,
         "inputs": [dict(zip(("name", "range", "unit"), row, strict=True)) for row in inputs],
@@ -54,41 +59,29 @@ def make_report(converted: Converted) -> Json:
         "error_bound": converted.proof.error_bound.tolist(),
         "measured_error": {name: _measure(converted, x) for name, x in samples.items()},
         "policy": converted.file,
-        "policy_sha256": fixed.policy_hash,
+        "policy_sha256": converted.policy_hash,
         "source": converted.policy.source,
         "track": race.track,
         "config": race.origin,
         "config_sha256": hashlib.sha256(race.text.encode()).hexdigest(),
-        "deterministic": fixed.noise is None,
+        "deterministic": in_c.noise is None,
         "options": dataclasses.asdict(converted.options),
-        "estimator": None,
-        "battery": None,
-        "noise": None,
+        "residual_sha256": race.residual and sha256(race.residual),
+        "estimators": in_c.sample_rate,
+        "noise": None if in_c.noise is None else in_c.noise.tolist(),
         "flights": {
             "runs": len(laps.crashes),
             "finished": laps.finished,
             "laps": laps.lap_times.shape[1],
-            "observations": rollouts.steps,
+            "observations": sum(len(target) for _, target in rollouts.paths),
         },
     }
-    if fixed.estimator is not None:
-        ranges = [2.0**e for e in fixed.estimator.channel_exponents]
-        residual = race.residual and sha256(race.residual)
-        report["estimator"] = {"residual_sha256": residual, "channel_ranges": ranges}
-    if (battery := fixed.battery) is not None:
-        report["battery"] = {
-            f"{name}_rpm": getattr(battery, name) * battery.unit
-            for name in ("lowest", "highest", "first")
-        }
-    if fixed.noise is not None:
-        deviation = (np.array(fixed.noise.factors) / unit).tolist()
-        report["noise"] = {"standard_deviation": deviation}
     return report
 
 
 def _layer(converted: Converted, index: int) -> Json:
     """What is proven about a layer."""
-    layers = converted.fixed.network.layers
+    layers = converted.in_c.network.layers
     ranges, hidden = converted.proof.layers[index], index + 1 < len(layers)
     outputs = [max(0, high >> WORD) for high in ranges.high]
     return {
@@ -103,7 +96,7 @@ def _layer(converted: Converted, index: int) -> Json:
 
 def _measure(converted: Converted, observations: np.ndarray) -> Json:
     """Errors of the fixed-point policy over observations (n, inputs), in the command's unit."""
-    fixed = emulator.commands(converted.fixed.network, observations)
+    fixed = emulator.commands(converted.in_c.network, observations)
     error = np.abs(fixed - float64_commands(converted.policy, observations))
     return {
         "samples": len(observations),
@@ -119,7 +112,7 @@ def report_text(report: Json, name: str) -> str:
 
 def _lines(r: Json, name: str) -> Iterator[str]:
     unit = f", {r['unit']}" if r["unit"] else ""
-    yield f"{name}: fixed-point policy, format version {r['format_version']}\n"
+    yield f"{name}: policy in C\n"
     yield from (f"{key}: {r[key]}" for key in ("policy", "policy_sha256", "track", "config"))
     yield "\nInputs, and the range that every proof below holds for:"
     for i, row in enumerate(r["inputs"]):
@@ -138,12 +131,10 @@ def _lines(r: Json, name: str) -> Iterator[str]:
     for key, row in r["measured_error"].items():
         yield f"  measured, {key:<17} {_short(row['largest'])} (of {row['samples']} samples)"
     yield ""
-    if battery := r.get("battery"):
-        ends = (battery[f"{end}_rpm"] for end in ("lowest", "highest"))
-        yield "Estimate of the highest rpm, for every input: {:g} .. {:g} rpm\n".format(*ends)
-    if noise := r.get("noise"):
-        deviation = _short(noise["standard_deviation"])
-        yield f"Sampled: noise of standard deviation {deviation} {r['unit']}, within 6 deviations\n"
+    if rate := r["estimators"]:
+        yield f"Estimators on board at {rate:g} Hz"
+    if noise := r["noise"]:
+        yield f"Sampled: noise of standard deviation {_short(noise)} {r['unit']}".rstrip()
     low, high = min(r["command_low"]), max(r["command_high"])
     yield f"Commands, for every input: {low:g} .. {high:g} {r['unit']}".rstrip()
     flown = r["flights"]

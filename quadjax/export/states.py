@@ -1,4 +1,4 @@
-"""The state that the exported C observes, as the environment has it."""
+"""The state that the exported C observes, as the environment has it, and as the C has it."""
 
 import dataclasses
 import functools
@@ -11,8 +11,8 @@ import numpy as np
 from quadjax.core import quaternion
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors, Vec3
+from quadjax.export.observation import RPM_PER_RAD_S
 from quadjax.export.race_source import PolicyRace
-from quadjax.export.race_tables import LAST_COMMAND, state_sizes
 from quadjax.policy.pilot import command_ranges
 from quadjax.race import episode
 from quadjax.race.environment import Race
@@ -22,6 +22,54 @@ from quadjax.race.observations import HIGHEST_RPM
 from quadjax.race.types import RaceParams, RaceState
 from quadjax.vehicle.battery import Battery, BatteryState, battery_at_start
 from quadjax.vehicle.protocol import State, VehicleModel
+
+LAST_COMMAND = "last_command"  # field of the state that the field LAST_ACTION is scaled from
+SIZES = {  # of the fields of a state but for the actuators
+    "position": 3,
+    "velocity": 3,
+    "euler": 3,
+    "quaternion": 4,
+    "rates": 3,
+    "moment_ext": 3,
+    "force_ext": 3,
+    HIGHEST_RPM: 1,
+    LAST_COMMAND: 4,
+}
+STATE = np.dtype([  # qj_state
+    ("position", "<f4", 3), ("velocity", "<f4", 3), ("quaternion", "<f4", 4), ("rates", "<f4", 3),
+    ("rotor_speed", "<f4", 4), ("thrust", "<f4"), (LAST_COMMAND, "<f4", 4),
+    ("moment_ext", "<f4", 3), ("force_ext", "<f4", 3), (HIGHEST_RPM, "<f4"),
+])  # fmt: skip
+
+
+def state_sizes(layout: Layout, model: VehicleModel) -> dict[str, int]:
+    """The fields of a state that a policy observes, and their sizes, in order.
+
+    A policy that observes a rotation matrix gets a quaternion, any other one Euler angles.
+    """
+    names = ["position", "velocity"]
+    names += [] if "rotation" in layout and "attitude" not in layout else ["euler"]
+    names += ["quaternion"] if "rotation" in layout else []
+    names += ["rates", model.actuators.name]
+    names += ["moment_ext", "force_ext"] if model.disturbed else []
+    names += [HIGHEST_RPM] if HIGHEST_RPM in layout else []
+    names += [LAST_COMMAND] if LAST_ACTION in layout else []
+    return {name: SIZES.get(name, model.actuators.size) for name in names}
+
+
+def as_in_c(layout: Layout, model: VehicleModel, states: np.ndarray) -> np.ndarray:
+    """States (n, sizes) of ``state_sizes`` as rows (n,) of ``STATE``."""
+    sizes, rows = state_sizes(layout, model), np.zeros(len(states), STATE)
+    parts = np.split(states, np.cumsum(list(sizes.values()))[:-1], axis=1)
+    for name, part in zip(sizes, parts, strict=True):
+        if name == "euler" and "quaternion" not in sizes:
+            turned = jax.tree.leaves(quaternion.of_euler(Vec3(*part.T)))
+            rows["quaternion"] = np.stack([np.asarray(x) for x in turned], axis=1)
+        elif name == "rpm":
+            rows["rotor_speed"] = part / RPM_PER_RAD_S
+        elif name in (rows.dtype.names or ()):
+            rows[name] = part.reshape(rows[name].shape)
+    return rows
 
 
 def example_state(environment: Race, params: RaceParams) -> State:

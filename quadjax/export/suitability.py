@@ -1,26 +1,39 @@
-"""Which autopilot can fly a policy: what it takes, against what the policy commands and needs."""
+"""Which autopilot can fly a policy: what it measures and takes, against what the policy needs."""
 
 import dataclasses
+from collections.abc import Collection
 
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.export.network import FixedNetwork
-from quadjax.export.race_tables import RaceTables
 from quadjax.export.targets import (
-    COMMAND_KINDS,
     DEFAULT_TARGET,
-    MOST_GATES,
     MOTOR,
     RATES,
+    RPM,
+    SENSORS,
+    SPEEDS,
     STEP_ERROR,
     TARGETS,
+    THRUST,
     Target,
     calls_per_step,
     find_target,
 )
+from quadjax.policy.file import Policy
 from quadjax.race.layout import LAST_ACTION
+from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM
 from quadjax.vehicle.registry import MODELS
+
+COMMAND_KINDS = {"rpm": RPM, "motor_command": MOTOR}  # by the name of the commands
+NEEDED = {  # by field of the observation
+    "rpm": (SPEEDS,),
+    "rotor_speed": (SPEEDS,),
+    "thrust": (THRUST,),
+    HIGHEST_RPM: (SPEEDS,),
+    **{name: (SPEEDS, SENSORS) for name in DISTURBANCES},
+}
+MOST_GATES = 255  # of INDIflight's target_gate_index, a uint8_t
 
 
 def target_of(name: str, model: str) -> Target:
@@ -42,44 +55,36 @@ def target_of(name: str, model: str) -> Target:
     )
 
 
-def kind_of(model: str) -> int:
+def kind_of(model: str) -> str:
     """The kind of a vehicle model's commands."""
     return COMMAND_KINDS.get(MODELS[model].commands[0].name, RATES)
 
 
-def observed_fields(race: RaceTables) -> set[str]:
-    """The fields of the state from which an observation is computed, without those seen as zero."""
-    sources: set[int] = set()
-    for part in (part for part in race.inputs if part.kind != "gate"):
-        seen = part.sources
-        sources |= set(
-            (seen[part.numbers["factor"] != 0] if part.kind == "scaled" else seen).tolist()
-        )
-    return {
-        name
-        for name, start in race.starts.items()
-        if sources & set(range(start, start + len(race.fields[name])))
-    }
-
-
-def check_target(target: Target, network: FixedNetwork, race: RaceTables) -> None:
-    """Check that an autopilot can fly a policy; the pilot on board checks the same.
+def check_target(
+    target: Target, policy: Policy, observed: Collection[str], gates: int, time_step: float
+) -> None:
+    """Check that an autopilot can fly a policy.
 
     Raises:
-        InputError: commands out of range, too many gates, or a time step that is no whole number of
-            calls.
+        InputError: commands out of range, a number that is not measured, too many gates, or a time
+            step that is no whole number of calls.
     """
-    start, unit = f"--target {target.name}", 2.0**network.fraction_bits
-    low, high = network.command_low / unit, network.command_high / unit
-    if kind_of(network.model.name) == MOTOR and (np.any(low < 0.0) or np.any(high > 1.0)):
+    start, low, high = f"--target {target.name}", policy.command_low, policy.command_high
+    if kind_of(policy.vehicle) == MOTOR and (np.any(low < 0.0) or np.any(high > 1.0)):
         raise InputError(
             f"{start}: motor commands {low.tolist()}..{high.tolist()}, allowed: 0 to 1"
         )
-    if target.name == "indiflight" and race.gates > MOST_GATES:
-        raise InputError(f"{start}: {race.gates} gates, allowed: {MOST_GATES}")
-    held = LAST_ACTION in race.box.layout
-    if target.calls and held and not calls_per_step(target.calls, race.time_step):
+    for field in observed:
+        if missing := [name for name in NEEDED.get(field, ()) if name not in target.gives]:
+            raise InputError(
+                f"{start}: the policy observes {field}, and {target.autopilot} does not give "
+                f"{' and '.join(missing)}"
+            )
+    if target.glue == "indiflight" and gates > MOST_GATES:
+        raise InputError(f"{start}: {gates} gates, allowed: {MOST_GATES}")
+    held = LAST_ACTION in policy.layout
+    if target.calls and held and not calls_per_step(target.calls, time_step):
         raise InputError(
-            f"{start}: the time step is {race.time_step:g} s, allowed: whole periods of "
+            f"{start}: the time step is {time_step:g} s, allowed: whole periods of "
             f"{target.calls:g} Hz within {STEP_ERROR:.0%}"
         )

@@ -23,8 +23,7 @@ from quadjax.export import emulator
 from quadjax.export.network import convert
 from quadjax.export.proof import prove
 from quadjax.export.race_source import PolicyRace
-from quadjax.export.race_tables import LAST_COMMAND, state_sizes
-from quadjax.export.states import observe
+from quadjax.export.states import LAST_COMMAND, observe, state_sizes
 from quadjax.flights.flight import Flight
 from quadjax.flights.gates import MEASURED_MARGIN_M
 from quadjax.policy.file import Policy

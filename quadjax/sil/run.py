@@ -18,13 +18,11 @@ from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import provenance
 from quadjax.evaluation.rows import Row, concatenate
 from quadjax.evaluation.table import counted, lap_table
-from quadjax.export.conversion import Converted, Options
+from quadjax.export.conversion import Converted, Options, convert_policy
 from quadjax.export.convert import convert_file
-from quadjax.export.flights import Rollouts
 from quadjax.export.folder import read_folder
 from quadjax.export.names import symbol_name
 from quadjax.export.targets import DEFAULT_TARGET
-from quadjax.export.verify.build import Sources
 from quadjax.flights.files import save
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import plan_race
@@ -32,22 +30,20 @@ from quadjax.policy.file import Policy
 from quadjax.policy.pilot import adapt_race
 from quadjax.policy.race import warn_of_other_race
 from quadjax.race.laps import Laps
+from quadjax.sil.autopilot import ExportedC
+from quadjax.sil.drones import SimulatedDrone, plant_drone, simulator_drone
 from quadjax.sil.faults import Faults
-from quadjax.sil.fly import Race, fly
-from quadjax.sil.source import ExportedC, at_rate
-from quadjax.sil.worlds import World, plant_world, simulator_world
+from quadjax.sil.fly import FlightResult, fly
 
 ON_PLANT = ("motor", "rate")  # vehicle models that a plant has
 STATES_FILE = "states.npz"
 FILES = (STATES_FILE, "sil.json", "table.txt", "flight.html")
-NOTHING = Rollouts(*(np.zeros((0, 1)),) * 3)
+SAME_LOOP = 0.03  # largest relative difference of the loop rates of plant and autopilot
 MEANINGS = {  # of counts
-    "held steps": " (no command came: the drone held the last one)",
-    "autopilot: nan steps": " (a number of the state was NaN: the C takes zero)",
-    "autopilot: clipped steps": " (a number of the state was outside the range that NAME.h "
-    "declares: the C clips it)",
-    "autopilot: outside steps": " (an input of the network was outside its declared range: the C "
-    "clips it)",
+    "steps without a state": "the pilot had no state for 0.1 s: its commands were 0",
+    "autopilot: nan steps": "a number of the state was not finite: the C takes zero",
+    "autopilot: outside steps": "an input of the network was outside its range: the C clips it",
+    "autopilot: late calls": "no new state: the pilot held its commands",
 }
 
 
@@ -75,7 +71,7 @@ class Flown:
     drone: str  # its name and control rate
     autopilot: str
     sources: str  # the C that flies
-    races: list[Race]
+    races: list[FlightResult]
 
     @property
     def laps(self) -> Laps:
@@ -88,15 +84,17 @@ class Flown:
         return dict(sum((Counter(race.counts) for race in self.races), Counter()))
 
     def text(self) -> str:
-        """The lap table, the reasons for early ends, and the counts with their meanings."""
+        """The lap table, what flew, and the counts: at most eight lines."""
         counts = self.counts
+        steps = counts.pop("steps", 0)
         label = f"{self.autopilot}, {counted(len(self.races), 'run')}"
         lines = [
             lap_table([Row(label, self.laps)]).format(),
-            f"C that flies: {self.sources}",
-            f"drone: {self.drone}, {counts.pop('steps', 0):,} steps",
-            *(f"{name}: {number:,}{MEANINGS.get(name, '')}" for name, number in counts.items()),
+            f"flies: {self.sources}; drone: {self.drone}, {steps:,} steps",
         ]
+        if states := [f"{n:,} {k[7:]}" for k, n in counts.items() if k.startswith("states ")]:
+            lines.append(f"states: {', '.join(states)}")
+        lines += [f"{k}: {counts[k]:,} ({text})" for k, text in MEANINGS.items() if k in counts]
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
@@ -121,7 +119,9 @@ class Flown:
         write_text(folder / "table.txt", self.text() + "\n")
 
 
-def make_world(config: Config, policy: Policy, plant: PlantConfig | None, laps: int) -> World:
+def make_drone(
+    config: Config, policy: Policy, plant: PlantConfig | None, laps: int
+) -> SimulatedDrone:
     """The drone that the race of a policy needs, with the policy's model and limits.
 
     On a plant, or, without one, in the simulator of the race.
@@ -130,14 +130,14 @@ def make_world(config: Config, policy: Policy, plant: PlantConfig | None, laps: 
         InputError: a vehicle model that the plant lacks.
     """
     if plant is None:
-        return simulator_world(*adapt_race(*make_race(config), policy), laps)
+        return simulator_drone(*adapt_race(*make_race(config), policy), laps)
     if policy.vehicle not in ON_PLANT:
         raise InputError(
             f"a plant has no vehicle model {policy.vehicle!r}, allowed: "
             f"{', '.join(ON_PLANT)}; --simulator flies the race's own simulator"
         )
     plan = plan_race(config, plant, policy, lap_count=laps, runs=1, recorded=1)
-    return plant_world(plan, plant.name)
+    return plant_drone(plan, plant.name)
 
 
 def fly_all(
@@ -157,19 +157,16 @@ def fly_all(
 def _fly_all(
     setting: Setting, work: Path, stop: threading.Event, report: Callable[[str], None]
 ) -> Flown:
-    converted = _converted(setting)
-    files = {name: data for name, data in converted.files().items() if "/" in name}
-    sources = Sources.write(converted.target, files, work, converted.fixed)
-    plant = setting.plant and at_rate(setting.plant, sources)
-    setting, config = dataclasses.replace(setting, plant=plant), converted.race.config
+    converted, setting = _converted(setting)
+    config = converted.race.config
     warn_of_other_race(converted.policy, config, converted.file)
     laps = setting.laps or config.evaluate.laps
-    world = make_world(config, converted.policy, plant, laps)
+    drone = make_drone(config, converted.policy, setting.plant, laps)
     report("building the C")
-    autopilot = ExportedC(converted, sources, 1.0 / world.step)
+    autopilot = ExportedC(converted, work, 1.0 / drone.step)
     report("compiling")
-    world.advance(world.begin(0), world.ranges()[0].astype(np.float32))
-    races: list[Race] = []
+    drone.advance(drone.begin(0), drone.ranges()[0].astype(np.float32))
+    races: list[FlightResult] = []
     for run in range(setting.runs):
         text = f"run {run + 1} of {setting.runs}"
         report(text)
@@ -178,21 +175,38 @@ def _fly_all(
             report(f"{text}: {seconds:.0f} s flown")
 
         how = (setting.faults, setting.seed + run, stop, say)
-        flown = fly(world, autopilot, *how, config.track.gates, f"run {run + 1}")
-        record = flown.flight.of_drone(world.constants())
+        flown = fly(drone, autopilot, *how, config.track.gates, f"run {run + 1}")
+        record = flown.flight.of_drone(drone.constants())
         races.append(dataclasses.replace(flown, flight=record))
         if stop.is_set():
             break
     if stop.is_set() and not len(races[0].flight.time):
         raise KeyboardInterrupt
-    drone = f"{world.name}, {1.0 / world.step:g} Hz"
-    return Flown(setting, config, drone, autopilot.label, autopilot.files, races)
+    name = f"{drone.name}, {1.0 / drone.step:g} Hz"
+    return Flown(setting, config, name, autopilot.label, autopilot.files, races)
 
 
-def _converted(setting: Setting) -> Converted:
-    """The policy of a setting as C: a folder's, or a file's without simulated flights."""
+def _converted(setting: Setting) -> tuple[Converted, Setting]:
+    """The policy of a setting as C, and the setting with the plant at the rate of its estimators.
+
+    Those of a policy file are made for the rate of the drone's control loop. A plant runs at the
+    rate of an exported folder's, if that is within ``SAME_LOOP`` of its own.
+    """
+    plant = setting.plant
     if setting.source.is_dir():
-        return read_folder(setting.source, setting.race)
+        converted = read_folder(setting.source, setting.race)
+        rate = converted.in_c.sample_rate
+        if plant is not None and rate and abs(rate / plant.control_rate - 1.0) <= SAME_LOOP:
+            ratio = rate / plant.control_rate
+            rates = {name: ratio * getattr(plant, name) for name in ("sample_rate", "control_rate")}
+            setting = dataclasses.replace(setting, plant=plant.replace(**rates))
+        return converted, setting
     name, named = symbol_name(None, setting.source.name), setting.race is not None
     options = Options(name, target=setting.target, allow_other_race=named)
-    return convert_file(setting.source, options, setting.race, rollouts=NOTHING)
+    converted = convert_file(setting.source, options, setting.race)
+    if converted.in_c.sample_rate is not None:
+        rate = 1.0 / converted.race.time_step if plant is None else plant.control_rate
+        options = dataclasses.replace(options, sample_rate=rate)
+        parts = (converted.policy, converted.race, options, converted.file, setting.source)
+        converted = convert_policy(*parts)
+    return converted, setting

@@ -28,7 +28,7 @@ import yaml
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.evaluation import report, training
 from quadjax.evaluation.rows import Row
-from quadjax.export.verify import run as verification
+from quadjax.export import verify as verification
 from quadjax.fitting import fit
 from quadjax.fitting import report as fit_report
 from quadjax.learners import parallel
@@ -45,7 +45,7 @@ from quadjax.training.checkpoint import Checkpoints
 from tests.commands import run
 from tests.docs.pages import GUIDE, ROOT, blocks_of, name_of
 from tests.docs.smaller import CODE, WIDE, load_short, short_overrides, smaller
-from tests.sil.support import short_world
+from tests.sil.support import short_drone
 from tests.sweeps.stand_in import nothing
 
 compare = importlib.import_module("quadjax.evaluation.compare")  # not the function
@@ -160,7 +160,7 @@ def test_blocks_run(page, folder, monkeypatch):
     monkeypatch.setattr(limit, "best_known", MagicMock())
     if name_of(page) not in TRAINED:
         train_nothing(monkeypatch)
-    monkeypatch.setattr(sil, "make_world", short_world)
+    monkeypatch.setattr(sil, "make_drone", short_drone)
     if name_of(page) not in VERIFIED:
         monkeypatch.setattr(verification, "verify", lambda *_, **__: [])
     namespace: dict[str, object] = {"__name__": "block", "_load": load_short}

@@ -1,4 +1,4 @@
-"""Made-up policies of many races, their words and their C, for the tests of the exporter."""
+"""Made-up policies of many races, as numbers and as C, for the tests of the exporter."""
 
 import dataclasses
 import functools
@@ -10,19 +10,12 @@ import numpy as np
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.export import flights, race_source
-from quadjax.export.battery import make_battery
-from quadjax.export.cases import Tables, make_cases
-from quadjax.export.conversion import Options, convert_policy
+from quadjax.export.conversion import Converted, Options, convert_policy
 from quadjax.export.convert import export_c
-from quadjax.export.disturbances import SAMPLE_RATE, make_estimator
-from quadjax.export.network import FixedNetwork, convert
+from quadjax.export.library import Library
+from quadjax.export.network import FixedNetwork
 from quadjax.export.race_source import PolicyRace
-from quadjax.export.race_tables import make_tables, state_sizes
-from quadjax.export.ranges import track_ranges
-from quadjax.export.states import observe
-from quadjax.export.targets import TARGETS
-from quadjax.export.verify.build import Library, Sources
-from quadjax.export.words import FixedPolicy, pack
+from quadjax.export.states import state_sizes
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
 from quadjax.race.observations import HIGHEST_RPM
@@ -109,63 +102,36 @@ def random_rollouts(own: PolicyRace, velocity: float = 1.0) -> flights.Rollouts:
     states = rng.uniform(-0.2, 0.2, (count, size)).astype(np.float32)
     none = Laps(np.full((32, 6), np.nan), ("out of time",) * 32, np.full(32, 10.0), 10.0)
     targets = random_targets(own, count).astype(np.int32)
-    return flights.Rollouts(rows, states, targets, none, count)
+    path = np.zeros((2, 3), np.float32), np.zeros(2, np.int32)
+    return flights.Rollouts(rows, states, targets, none, [path])
 
 
-def fixed_policy(
-    policy: Policy,
-    own: PolicyRace,
-    states=None,
-    targets=None,
-    battery=None,
-    estimator=None,
-    **changes,
-) -> FixedPolicy:
-    """A policy as integers; fields of its race's tables may be changed."""
-    wide = {"position": 32.0} if "position" in policy.layout else {}
-    network = convert(policy, track_ranges(policy.layout, own.params.track) | wide)
-    tables = make_tables(network.box, policy, own.environment, own.params)
-    race = dataclasses.replace(tables, **changes)
-    if states is None:
-        states, targets = random_states(policy, own, 20), random_targets(own, 20)
-    if battery is None and HIGHEST_RPM in policy.layout:
-        battery = make_battery(own.params.vehicle.constants, 10_000.0, SAMPLE_RATE)
-    parts = (network, race, estimator, battery)
-    cases = make_cases(Tables(*parts), None, states, targets)
-    return FixedPolicy(*parts, "made", "ab" * 32, cases)
-
-
-@functools.cache
-def fixed(name: str, hidden: tuple[int, ...] = (8,), gain: float = 0.5) -> FixedPolicy:
-    """A made-up policy as integers; ``everything`` has an estimator with a residual, too."""
-    policy, own = made(name, hidden, gain)
-    estimator = None
-    if name == "everything":
-        residual = residual_of(ref.random_residual(-1.0))
-        estimator = make_estimator(own.params.vehicle.constants, residual)
-    return fixed_policy(policy, own, estimator=estimator)
-
-
-def library(policy: FixedPolicy, folder: Path) -> Library:
-    """The C runtime on this machine, with a policy loaded: its self-tests pass."""
+def convert(policy: Policy, own: PolicyRace, folder: Path, target="cortex-m7", **more) -> Converted:
+    """A policy as C, without the simulated flights of an export; its file is in a folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    sources = Sources.write(TARGETS["qjp"], None, folder, policy)
-    return Library(sources, policy, pack(policy), folder)
-
-
-def converted_in(folder: Path, policy: Policy, own: PolicyRace, target: str, rate=500.0, **more):
-    """A policy converted, with its C in a folder, without the simulated flights of an export."""
-    folder.mkdir(exist_ok=True)
     path = folder / "policy.npz"
     policy.save(path)
-    states, targets = random_states(policy, own, 20), random_targets(own, 20)
-    rows = flights.Rollouts(observe(own, states, targets), states, targets)
-    options = Options("made", {"position": 32.0}, sample_rate=rate, target=target, **more)
-    converted = convert_policy(policy, own, options, path.name, path, rows)
-    for name, data in converted.files().items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(data)
-    return converted
+    ranges = {"position": 32.0} if "position" in policy.layout else {}
+    options = Options("made", ranges, target=target, **more)
+    return convert_policy(policy, own, options, path.name, path)
+
+
+def converted(
+    name: str, folder: Path, hidden: tuple[int, ...] = (8,), gain=0.5, **more
+) -> Converted:
+    """A made-up policy of one of ``RACES`` as C; ``everything`` has a residual, too."""
+    policy, own = made(name, hidden, gain)
+    if name == "everything":
+        residual = residual_of(ref.random_residual(-1.0))
+        vehicle = own.params.vehicle.replace(residual=residual)
+        own = dataclasses.replace(own, params=own.params.replace(vehicle=vehicle))
+    return convert(policy, own, folder, **more)
+
+
+def library(of: Converted, folder: Path, *options: str) -> Library:
+    """The C of a policy on this machine."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return Library(of, folder, options)
 
 
 def export_of(folder: Path) -> Path:

@@ -4,6 +4,7 @@ import dataclasses
 import errno
 import functools
 import json
+import re
 import shutil
 import signal
 from pathlib import Path
@@ -15,31 +16,26 @@ from quadjax import __version__
 from quadjax.cli.export import verification
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
-from quadjax.export import convert, emulator
+from quadjax.export import convert, verify
+from quadjax.export.compiler import Compiler
 from quadjax.export.conversion import sha256
 from quadjax.export.convert import export_c
 from quadjax.export.folder import read_folder
 from quadjax.export.suitability import target_of
-from quadjax.export.verify import checks, run, toolchain
-from quadjax.export.verify.build import Library
-from quadjax.export.verify.checks import CHECKS
-from quadjax.export.verify.result import FAILED, PASSED, SKIPPED
+from quadjax.export.verify import CHECKS, FAILED, PASSED, SKIPPED
 from quadjax.race.track import gates_ahead
 from tests.commands import run as command
 from tests.export.support import made
 
 COUNT = 2000
-ALLOWANCES = {  # check: option that allows what fails, and why it fails
-    "own flights": ("allow_unfinished", "0 of 32 flights finish 6 laps of track figure8"),
-    "own race": (
-        "allow_other_race",
-        "trained in another race than config.yaml: vehicle.constants.k_h",
-    ),
+ALLOWANCES = {  # option that allows what fails, and why it fails
+    "allow_unfinished": "0 of 32 flights finish 6 laps of track figure8",
+    "allow_other_race": "trained in another race than config.yaml: vehicle.constants.k_h",
 }
 
 
-def verdicts(folder, *only):
-    return [result.verdict for result in run.verify(folder, COUNT, only=only)]
+def verdicts(folder, **options):
+    return {row.check: row for row in verify.verify(folder, COUNT, **options)}
 
 
 @pytest.fixture
@@ -60,80 +56,78 @@ def contents(folder):
 @pytest.mark.slow
 def test_all_checks_of_an_exported_folder(flown):
     """All pass, but for what the export allows."""
-    results = run.verify(flown, COUNT, 8, allow_unfinished=True, allow_other_race=True)
-    assert [result.check for result in results] == ["files", *CHECKS]
-    for result in results:
-        if result.verdict == SKIPPED and result.check in ALLOWANCES:
-            option, reason = ALLOWANCES[result.check]  # of real flights, among others
-            assert reason in result.figure
-            assert result.figure.endswith(f"allowed by --{option.replace('_', '-')}")
-        else:
-            assert result.verdict == PASSED, result.figure
-    figures = {result.check: result.figure for result in results}
-    assert "missed" in figures["simulator"]
+    results = verdicts(flown, **dict.fromkeys(ALLOWANCES, True))
+    assert list(results) == list(CHECKS) and len(CHECKS) == 6
+    assert all(row.verdict == PASSED for name, row in results.items() if name != "gates"), results
+    assert results["gates"].figure == "no flight passes a gate"
+    for option, reason in ALLOWANCES.items():
+        figure = results["race and flights"].figure
+        assert reason in figure and f"allowed by --{option.replace('_', '-')}" in figure
+    assert all(len(row.text(16).splitlines()) == 1 for row in results.values())
 
 
-def test_a_gate_ahead_that_faces_the_other_way(tmp_path, no_flights):
+@pytest.mark.slow
+def test_a_gate_ahead_that_faces_the_other_way(tmp_path):
     """Rounding decides between pi and -pi: float64 can differ from float32 and C."""
     track = made("half turns")[1].params.track
     (facing,) = np.nonzero(np.abs(np.abs(gates_ahead(track, 2)[1]) - np.pi) < 1e-6)
     assert len(facing) == 6
-    export(tmp_path / "c", "half turns")
-    assert verdicts(tmp_path / "c", "simulator") == [PASSED, PASSED]
+    wide = {"position": 64.0, "velocity": 128.0, "rates": 1024.0}
+    export(tmp_path / "c", "half turns", ranges=wide)
+    assert verdicts(tmp_path / "c")["observation"].verdict == PASSED
 
 
-@pytest.mark.parametrize("check", ALLOWANCES)
-def test_what_the_export_allowed_fails_unless_allowed_again(exported, no_flights, check):
-    option, message = ALLOWANCES[check]
-    found = [run.verify(exported, COUNT, only=(check,), **{option: x})[-1] for x in (False, True)]
-    assert [result.verdict for result in found] == [FAILED, SKIPPED]
-    assert message in found[0].figure
+@pytest.mark.parametrize("option", ALLOWANCES)
+def test_what_the_export_allowed_fails_unless_allowed_again(exported, no_flights, option):
+    others = {name: name != option for name in ALLOWANCES}
+    row = verdicts(exported, **others)["race and flights"]
+    assert row.verdict == FAILED and ALLOWANCES[option] in row.figure
 
 
-def test_a_million_vectors_are_checked_in_parts(exported, monkeypatch):
-    sizes = []
+def test_a_million_vectors_are_checked_in_parts(exported, no_flights, monkeypatch):
+    sizes, same = [], verify._same
 
-    def forward(self, q):
-        sizes.append(len(q))
-        return emulator.forward_rows(self._policy.network, q)
+    def counted(what, values, expected):
+        sizes.append(len(values))
+        same(what, values, expected)
 
-    monkeypatch.setattr(Library, "forward", forward)
-    monkeypatch.setattr(checks, "VECTORS", 1000)
-    assert verdicts(exported, "NumPy = C") == [PASSED, PASSED]
-    parts = sizes[:-1]  # the last one is compared with float64
-    assert len(parts) == 2 and max(parts) < 2500 and sum(parts) > COUNT
+    monkeypatch.setattr(verify, "_same", counted)
+    monkeypatch.setattr(verify, "VECTORS", 1000)
+    assert verdicts(exported)["network"].verdict == PASSED
+    assert len(sizes) == 2 * 2 + 1 and max(sizes) < 2500 and sum(sizes[:-1:2]) > COUNT
 
 
-def test_a_file_is_verified_by_itself(exported, tmp_path, capsys, monkeypatch):
-    path = tmp_path / "racer.qjp"
-    shutil.copy(exported / "made.qjp", path)
-    for where in (exported, path):
-        assert verdicts(where, "range proof", "NumPy = C") == [PASSED] * 3
-    path.write_bytes(path.read_bytes()[:-1] + b"\0")
-    with pytest.raises(InputError, match="racer.qjp: changed since it was written"):
-        run.verify(path)
-    assert command("verify", path, "--runs", 1) == 2
-    assert "--runs has no effect on a .qjp file" in capsys.readouterr().err
-    verify = functools.partial(run.verify, only=("range proof",))
-    monkeypatch.setattr(run, "verify", lambda *words, **options: verify(*words))
+def test_the_command_says_what_to_do_next(exported, tmp_path, capsys, monkeypatch, no_flights):
     folder = shutil.copytree(exported, tmp_path / "aus #1")
-    assert command("verify", folder) == 0
+    assert command("verify", folder) == 1  # its race is another one, and it does not finish
+    out = capsys.readouterr().out
+    assert len(out.splitlines()) == 6 and "race and flights  FAIL" in out
+    allowed = [f"--{option.replace('_', '-')}" for option in ALLOWANCES]
+    monkeypatch.setitem(CHECKS, "gates", lambda c: "no flights")
+    assert command("verify", folder, *allowed, "--json", tmp_path / "v.json") == 0
     assert capsys.readouterr().out.endswith(f"\nNext: quadjax sil '{folder}'\n")
+    rows = json.loads((tmp_path / "v.json").read_text())["results"]
+    assert [row["check"] for row in rows] == list(CHECKS)
     assert verification(folder, True, False) == f"quadjax verify '{folder}' --allow-unfinished"
+
+
+def test_a_policy_without_estimators_skips_their_check(tmp_path, no_flights):
+    export(tmp_path / "c", "indi")
+    assert verdicts(tmp_path / "c")["estimators"].verdict == SKIPPED
 
 
 def test_the_target_decides_what_is_written(exported):
     folder = read_folder(exported)
     options = dataclasses.replace(folder.options, target="cortex-m7")
-    other, files = dataclasses.replace(folder, options=options).files(), folder.files()
-    assert {name.split("/")[0] for name in other} == {"c", "made.qjp"}
-    assert {name.split("/")[0] for name in files} == {"paparazzi", "made.qjp"}
+    other, files = dataclasses.replace(folder, options=options).files, folder.files
+    assert {name.split("/")[0] for name in other} == {"c"}
+    assert {name.split("/")[0] for name in files} == {"paparazzi"}
     assert other["c/qj_network.c"] == files["paparazzi/qj_network.c"]
-    assert b"static const int32_t made_words[" in files["paparazzi/made.h"]
-    assert b"QUADJAX_WORDS made_words" in files["paparazzi/quadjax_policy.h"]
+    assert b"static const qj_policy made_policy = {" in files["paparazzi/made.h"]
+    assert b"QUADJAX_POLICY made_policy" in files["paparazzi/quadjax_policy.h"]
     module = files["paparazzi/quadjax.xml"].decode()
     for name in (Path(name).name for name in files if name.endswith(".c")):
-        assert f'name="{name}"' in module or name == "qj_angles.c"
+        assert f'name="{name}"' in module
     assert target_of("cortex-a9", "racing").folder == "c"  # for which Paparazzi has no glue
     written = {path.relative_to(exported).as_posix() for path in contents(exported)}
     others = {"made_report.json", "made_report.txt", "policy.npz", "config.yaml", "residual.npz"}
@@ -151,13 +145,22 @@ def test_the_report_says_what_was_exported(exported):
     assert again == "quadjax verify out/my_policy --allow-unfinished"
 
 
-def test_a_planted_header_is_not_compiled(copied):
+def test_a_planted_header_is_not_compiled(copied, no_flights):
     (copied / "paparazzi/stdint.h").write_text("#error planted\n")
-    assert verdicts(copied, "NumPy = C") == [PASSED, PASSED]
+    assert verdicts(copied)["network"].verdict == PASSED
+
+
+def test_each_input_of_the_header_has_a_comment(exported):
+    """Of a policy with everything: the reader needs no other file."""
+    text, layout = (exported / "paparazzi/made.h").read_text(), made("everything")[0].layout
+    for label in layout.labels:
+        assert re.search(rf"}}, /\* {re.escape(label)}(, .*)? \*/", text), label
+    for words in ("SHA-256", "Commands 3000..11000 rpm", "gate 0 */", ".gate_test = QJ_WORLD_BOX"):
+        assert words in text
 
 
 DAMAGED = {  # file: its contents from those that it had, None: removed; and the message
-    "made.qjp": (lambda data: data[: len(data) // 2], "made.qjp: "),
+    "paparazzi/made.h": (lambda data: data[: len(data) // 2], "made.h: not what the converter"),
     "made_report.json": (lambda data: b"\0[", "made_report.json"),
     "policy.npz": (lambda data: b"", "policy.npz"),
     "config.yaml": (None, "config.yaml: no such file"),
@@ -177,9 +180,9 @@ def test_a_damaged_file_is_one_line_and_nothing_is_compiled(copied, monkeypatch,
     path.unlink()
     if change is not None:
         path.write_bytes(change(data))
-    monkeypatch.setattr(toolchain.Compiler, "build", lambda *_: pytest.fail("compiled"))
+    monkeypatch.setattr(Compiler, "build", lambda *_: pytest.fail("compiled"))
     with pytest.raises(InputError, match=rf"^[^\n]*{message}[^\n]*$"):
-        run.verify(copied, COUNT)
+        verify.verify(copied, COUNT)
 
 
 WRONG = {"sample_rate": 0, "cutoff": 1e9, "target": "avr", "name": "../made", "ranges": [1]}
@@ -198,8 +201,6 @@ def test_a_report_with_a_wrong_option_is_one_line(copied):
 def test_folders_of_other_kinds_are_refused(exported, tmp_path):
     with pytest.raises(InputError, match="report.json"):
         read_folder(tmp_path)
-    with pytest.raises(InputError, match="check 'own flight': no such check, allowed: range proof"):
-        run.verify(exported, COUNT, only=("own flight",))
     (tmp_path / ".quadjax.json").write_text('{"kind": "training"}')
     for use in (read_folder, export):
         with pytest.raises(InputError, match="holds a run, not an export"):

@@ -1,58 +1,65 @@
-"""The glue of every autopilot in a stand-in for its firmware: commands, refusals, lost signals."""
+"""The glue of every autopilot in a stand-in for its firmware: commands, refusals, whole races."""
 
 import ctypes
+import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from quadjax.core.files import write_bytes
-from quadjax.export.convert import export_c
-from quadjax.export.pilot_emulator import PilotEmulator
-from quadjax.export.targets import calls_per_step
-from quadjax.export.verify.autopilot import Autopilot, random_vehicles
-from quadjax.export.verify.build import Sources
-from quadjax.export.verify.toolchain import WARNINGS
-from tests.export.support import WIDE, converted_in, made
-from tests.export.words import with_flipped_weight
+from quadjax.core.resources import PRETRAINED
+from quadjax.export.compiler import WARNINGS
+from quadjax.export.library import VEHICLE
+from quadjax.export.race_source import policy_race
+from quadjax.plant.config import load_plant_config
+from quadjax.policy.file import Policy
+from quadjax.policy.race import race_of_policy
+from quadjax.sil import run
+from quadjax.sil.faults import Faults
+from quadjax.sil.run import Setting, fly_all
+from tests.export.stand_ins import Firmware
+from tests.export.support import convert, converted, library
 
-GLUES = {  # target: race, every one of which observes its last action
-    "cortex-a9": "everything",
-    "indiflight": "racing, axes and more",
+RACER = Path(__file__).parent / "racer.npz"  # of the 5-inch drone, without rotor speeds
+GLUES = {"cortex-a9": "everything", "indiflight": "racing, axes and more"}  # target: race
+FLAGS = {  # with which the firmwares are built
+    "cortex-a9": tuple(WARNINGS[:4]),
+    "indiflight": tuple("-Wall -Wextra -Wdouble-promotion -Werror".split()),
 }
-FIRMWARE_FLAGS = {  # with which the firmwares are built
-    "cortex-a9": WARNINGS[:4],
-    "indiflight": "-Wall -Wextra -Wdouble-promotion -Werror".split(),
-}
+THRUST_GAIN, HOVER, CUTOFF = 500.0, 9.81, 8.0  # autopilot units per m/s^2, m/s^2, Hz
+
+
+def random_vehicles(count):
+    """States (count,) in flight, in numbers that every autopilot represents."""
+    rng, vehicles = np.random.default_rng(1), np.zeros(count, VEHICLE)
+    for name in ("position", "velocity", "rates", "body_velocity"):
+        vehicles[name] = rng.uniform(-1.0, 1.0, (count, 3))
+    turned = rng.standard_normal((count, 4)) * [0.2, 0.2, 0.2, 0.2] + [1, 0, 0, 0]
+    vehicles["quaternion"] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    rpm = np.rint(rng.uniform(3000.0, 10_000.0, (count, 4)))
+    vehicles["rotor_speed"] = rpm / np.float32(30.0 / np.pi)
+    vehicles["specific_force"] = np.rint(rng.uniform(-9.0, 9.0, (count, 3)) * 1024.0) / 1024.0
+    vehicles["autopilot_command"] = rpm
+    return vehicles
 
 
 class Glue:
-    """The glue of a target with a policy; its words may be changed."""
+    """The glue of a target with a policy, next to the pilot alone."""
 
-    def __init__(self, folder, target, race=None, change=lambda words: words, rate=500.0, **more):
-        self.folder = folder
-        race = made(race or GLUES[target])
-        self.converted = converted_in(folder / "export", *race, target, rate, **more)
-        self.fixed = self.converted.fixed
-        vars(self.converted)["words"] = change(self.converted.words)
-        files = {name: data for name, data in self.converted.files().items() if "/" in name}
-        self.sources = Sources.write(self.converted.target, files, folder / "c", self.fixed)
-        self.autopilot = Autopilot(self.sources, folder, FIRMWARE_FLAGS[target])
-        self.wrong = self.autopilot.wrong
-        frequency = 1e9 / self.sources.call_ns
-        self.calls, self._now = calls_per_step(frequency, self.fixed.race.time_step), 0.0
+    def __init__(self, folder, target, race=None, **more):
+        self.of = converted(race or GLUES[target], folder / "policy", target=target, **more)
+        self.firmware = Firmware(self.of, folder / "glue", FLAGS[target])
+        self.pilot = library(self.of, folder / "c").pilot(self.of.frequency)
 
-    def step(self, vehicle, flies=True):
-        """The command at the end of a step of the policy."""
-        for _ in range(self.calls):
-            self._now += 1e-3 * self.sources.call_ns
-            vehicle["time_us"] = round(self._now)
-            command = self.autopilot.call(vehicle, flies)
-        return command
-
-    def emulated(self, rows):
-        """Commands (n, 4) of NumPy for a state a step, from the start of a race."""
-        emulator = PilotEmulator(self.fixed, self.calls)
-        return np.array([[emulator.call(row) for _ in range(self.calls)][-1] for row in rows])
+    def both(self, rows, flies=True):
+        """Commands (n, 4) of the glue and of the pilot for a state a call."""
+        found, wanted = [], []
+        for number, row in enumerate(rows[:, None]):
+            now = round(1e6 * number / self.of.frequency)
+            row["time_us"] = row["position_us"] = now
+            found.append(self.firmware.call(now, row, flies))
+            wanted.append(self.pilot.step(now, row)[1])
+        return np.array(found), np.array(wanted)
 
 
 @pytest.fixture(scope="module")
@@ -64,64 +71,97 @@ every = pytest.mark.parametrize("glue", GLUES, indirect=True)
 
 
 @every
-def test_commands_are_those_of_numpy(glue):
-    assert glue.wrong is None
-    rows, target = random_vehicles(25), glue.converted.options.target
-    for race in range(1 if target == "cortex-a9" else 2):  # the second race starts over
-        assert race == 0 or not glue.step(rows[:1], flies=False).any()
-        found = [glue.step(row[None]).copy() for row in rows]
-        np.testing.assert_allclose(found, glue.emulated(rows), atol=2e-5)
-        assert len(np.unique(found, axis=0)) == len(found) and glue.autopilot.armed
-    if target == "cortex-a9":  # what the ground sees
-        sent = glue.autopilot.value("paparazzi_sent", ctypes.c_float * 15)
-        assert [sent[0], sent[1], sent[6], sent[8]] == [0, 1, 25, 0]
+def test_commands_are_those_of_the_pilot(glue):
+    assert glue.firmware.wrong is None
+    rows = np.repeat(random_vehicles(40), 5)  # a step of the policy is five calls
+    glue.firmware.begin()
+    glue.pilot.wait(np.zeros((), VEHICLE))
+    found, wanted = glue.both(rows)
+    span = wanted.max() - wanted.min()
+    np.testing.assert_allclose(found, wanted, atol=2e-4 * span)
+    assert len(np.unique(found, axis=0)) == 40 and glue.firmware.armed
+    if glue.of.target.glue == "paparazzi":  # what the ground sees
+        sent = (ctypes.c_float * 13).in_dll(glue.firmware._library, "paparazzi_sent")
+        assert [sent[0], sent[1], sent[6], sent[7]] == [0, 1, 40, 0]
+    assert not glue.firmware.call(10**6, rows[:1], flies=False).any()
 
 
 @every
 def test_numbers_of_any_bits_give_commands_in_range(glue):
-    network, rng = glue.fixed.network, np.random.default_rng(3)
-    rows = np.zeros(300, random_vehicles(1).dtype)
-    for name in rows.dtype.names[1:]:
+    rng, rows = np.random.default_rng(3), random_vehicles(300)
+    for name in rows.dtype.names[2:]:
         bits = rng.integers(0, 2**32, rows[name].shape, dtype=np.uint32)
         rows[name] = bits.view(np.float32)
-    found = np.array([glue.step(row[None]) for row in rows])
-    unit = 2.0**network.fraction_bits
-    assert np.all((found >= network.command_low / unit) & (found <= network.command_high / unit))
+    glue.firmware.begin()
+    found, _ = glue.both(rows)
+    low, high = glue.of.policy.command_low, glue.of.policy.command_high
+    assert np.all((found >= low) & (found <= high))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("sampled", [False, True])
-def test_paparazzi_gets_rates_and_thrust(sampled, tmp_path):
-    glue = Glue(tmp_path, "cortex-a9", "indi and more", sampled=sampled)
-    rows = random_vehicles(10)
-    for _ in range(1 if sampled else 2):  # the noise does not start over
-        found = [glue.step(row[None]).copy() for row in rows]
-        np.testing.assert_array_equal(found, glue.emulated(rows))
-        assert not glue.step(rows[:1], flies=False).any()
-    assert (glue.fixed.noise is not None) == sampled
+@every
+def test_a_changed_weight_does_not_fly(glue, tmp_path):
+    target = glue.of.target.name
+    of = converted(GLUES[target], tmp_path / "policy", target=target)
+    name, first = f"{of.target.folder}/made.h", int(of.in_c.tables[0][0][0])
+    text = of.files[name].decode()
+    changed = text.replace(f"    {first}, ", f"    {first ^ 1}, ", 1)
+    assert changed != text
+    vars(of)["files"] = of.files | {name: changed.encode()}
+    firmware = Firmware(of, tmp_path / "glue")
+    assert firmware.wrong == "its self-test fails"
+    assert not firmware.call(0, random_vehicles(1)).any() and not firmware.armed
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("target", sorted(GLUES))
-def test_a_changed_weight_does_not_fly(target, tmp_path):
-    glue = Glue(tmp_path, target, change=with_flipped_weight)
-    assert glue.wrong == "self-test fails"
-    assert not glue.step(random_vehicles(1)).any() and not glue.autopilot.armed
+def test_paparazzis_inner_loop_gets_rates_and_an_increment_of_thrust(tmp_path):
+    """What is missing of the commanded specific force is added to the filtered command."""
+    glue = Glue(tmp_path, "cortex-a9", "indi and more")
+    rows = np.repeat(random_vehicles(20), 5)
+    rows["specific_force"][:, 2] = -5.0
+    step = 1.0 / 512.0
+    gain = step / (1.0 / (2.0 * np.pi * CUTOFF) + step)  # of the stand-in's filters
+    felt = HOVER + (5.0 - HOVER) * (1.0 - (1.0 - gain) ** np.arange(1, len(rows) + 1))
+    rows["thrust"] = felt  # the glue filters its own
+    found, wanted = glue.both(rows)
+    np.testing.assert_allclose(found[:, :3], wanted[:, :3], atol=1e-4)
+    given, expected = 0.0, 0.0
+    for row, (thrust, measured) in enumerate(zip(wanted[:, 3], felt, strict=True)):
+        given += gain * (expected - given)
+        expected = np.clip(given + THRUST_GAIN * (thrust - measured), 0.0, 9600.0)
+        assert abs(found[row, 3] - expected) < 3.0, row
+        expected = found[row, 3]
+    assert len(np.unique(found[:, 3])) > 10
+    assert not glue.firmware.call(10**7, rows[:1], flies=False).any() and glue.firmware.armed
 
 
 @pytest.mark.slow
 def test_the_calls_have_the_rate_of_the_export(tmp_path):
-    glue = Glue(tmp_path, "cortex-a9", "e2e with quaternions", rate=256.0)
-    module = glue.sources.include / "quadjax.xml"
-    assert glue.wrong is None and 'freq="256"' in module.read_text()
-    assert glue.sources.call_ns == round(1e9 / 256.0)
+    glue = Glue(tmp_path, "cortex-a9", "e2e with quaternions", sample_rate=256.0)
+    assert glue.firmware.wrong is None and glue.of.frequency == 256.0
+    assert b'freq="256"' in glue.of.files["paparazzi/quadjax.xml"]
+    assert b"QUADJAX_FREQUENCY 256.0F" in glue.of.files["paparazzi/quadjax_policy.h"]
 
 
-def test_a_users_folder_stays_next_to_an_export(tmp_path, no_flights):
-    policy, out = made("published racing")[0], tmp_path / "out"
-    write_bytes(out / "c/mine.c", b"int mine;")
-    for target in ("qjp", "indiflight"):
-        options = {"name": "made", "allow_unfinished": True, "overwrite": True}
-        export_c(policy, out, ranges=WIDE, target=target, **options)
-    assert (out / "c/mine.c").read_bytes() == b"int mine;" and not (out / "qjp").exists()
-    assert (out / "indiflight/nn_controller.c").exists()
+RACES = {  # target, and whether it flies on the plant
+    PRETRAINED / "e2e_cyberzoo.npz": ("cortex-a9", True),
+    RACER: ("indiflight", False),
+    PRETRAINED / "indi_cyberzoo.npz": ("cortex-m7", True),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drop", [0.0, 0.1])
+@pytest.mark.parametrize("path", RACES, ids=lambda path: path.stem)
+def test_every_target_flies_a_whole_race(path, drop, tmp_path, monkeypatch):
+    """In lockstep, and with a tenth of the states lost."""
+    target, on_plant = RACES[path]
+    policy = Policy.load(path)
+    config, origin = race_of_policy(policy)
+    of = convert(policy, policy_race(config, policy, origin), tmp_path, target)
+    monkeypatch.setattr(run, "_converted", lambda setting: (of, setting))
+    if of.target.glue:
+        monkeypatch.setattr(run, "ExportedC", lambda of, work, rate: Firmware(of, work))
+    plant = load_plant_config("cyberzoo") if on_plant else None
+    setting = Setting(tmp_path, plant, laps=2, faults=Faults(drop=drop))
+    flown = fly_all(setting, threading.Event())
+    assert flown.laps.crashes == ("",), flown.text()
+    assert (flown.counts.get("states dropped", 0) > 20) == bool(drop)

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import itertools
+import math
 
 import jax
 import jax.numpy as jnp
@@ -10,17 +11,18 @@ import numpy as np
 import pytest
 
 from quadjax.export import emulator
-from quadjax.export.cases import check_vectors, hostile_vectors
 from quadjax.export.emulator import fixed_point_actor, fixed_point_fly
 from quadjax.export.integers import ONE, quantize
 from quadjax.export.network import LARGEST_HIDDEN, convert
 from quadjax.export.proof import error_bound, prove
 from quadjax.export.ranges import declare
 from quadjax.export.report import float64_commands
+from quadjax.export.vectors import check_vectors, hostile_vectors
 from quadjax.race.observation_config import Observation
 from quadjax.race.observations import make_layout
 from quadjax.vehicle.motor import MODEL
-from tests.export.support import fixed, library, made, observations
+from tests.export import support
+from tests.export.support import library, made, observations
 
 NETWORKS = {  # race, hidden layers
     "motor 64": ("e2e", (64, 64, 64)),
@@ -45,7 +47,7 @@ def by_hand(network, x):
     y = []
     for value, exponent in zip(x.tolist(), network.box.exponents, strict=True):
         limit = 2.0**exponent
-        value = 0.0 if value != value else min(max(value, -limit), limit)
+        value = min(max(value, -limit), limit) if math.isfinite(value) else 0.0
         y.append(int(value * 2.0 ** (30 - exponent)))
     for layer in network.layers:
         rows = zip(layer.weights.tolist(), layer.bias.tolist(), strict=True)
@@ -58,8 +60,8 @@ def by_hand(network, x):
 
 @pytest.mark.parametrize("name", [*FEW, *SLOW])
 def test_python_numpy_jax_and_c_have_the_same_bits(name, tmp_path):
-    policy = fixed(*NETWORKS[name], 1.0)
-    network, rng = policy.network, np.random.default_rng(0)
+    in_c = support.converted(NETWORKS[name][0], tmp_path, NETWORKS[name][1], 1.0)
+    network, rng = in_c.in_c.network, np.random.default_rng(0)
     x = observations(network, 40)
     assert emulator.forward(network, x).tolist() == [by_hand(network, row) for row in x]
     x = np.concatenate([check_vectors(network, 800, None), hostile_vectors(network)])
@@ -69,8 +71,13 @@ def test_python_numpy_jax_and_c_have_the_same_bits(name, tmp_path):
     np.testing.assert_array_equal(found, emulator.forward(network, x))
     q = quantize(x, network.box.exponents).astype(np.int32)
     q = np.concatenate([q, rng.integers(-(2**31), 2**31, q[:50].shape)])
-    rows = library(policy, tmp_path).forward(q)
-    np.testing.assert_array_equal(rows, emulator.forward_rows(network, q))
+    c = library(in_c, tmp_path / "c")
+    np.testing.assert_array_equal(c.forward(q), emulator.forward_rows(network, q))
+    np.testing.assert_array_equal(c.quantize(x), quantize(x, network.box.exponents))
+    whole = network.model.commands[0].name == "rpm"  # motor controllers take whole rpm
+    wanted = emulator.forward_rows(network, q)[:, :4] / 2.0**network.fraction_bits
+    wanted = np.floor(wanted + 0.5) if whole else wanted
+    np.testing.assert_array_equal(c.act(q), wanted.astype(np.float32))
 
 
 def test_actors_give_the_same_command():

@@ -19,8 +19,6 @@ from quadjax.race.layout import Layout, ObservedField
 from tests.export.support import config_of, made, random_rollouts
 
 ALLOWED = {"allow_unfinished": True}
-ANYWHERE = ALLOWED | {"allow_other_race": True}
-SLOW = "vehicle.constants.tau=2"  # s, of the motors
 
 
 def export(folder, name="e2e", config=None, options=ALLOWED, **changes):
@@ -42,18 +40,17 @@ POLICIES = [  # words of the message, changes of the policy, its race or its exp
     ("layer 0, row 0.*unsupported", {"activation": "tanh"}),
     ("65535", {"command_high": np.full(4, 70000.0)}),
     (
-        "log_std 0: a standard deviation of .* allowed: 0 to",
-        {"log_std": np.full(4, 20.0, np.float32), "options": ALLOWED | {"sampled": True}},
-    ),
-    (
         "battery is null, and .* observes highest_rpm",
         {"name": EVERYTHING, "config": ["battery=null"]},
     ),
-    ("sums may reach .* allowed", {"name": EVERYTHING, "config": [SLOW], "options": ANYWHERE}),
     ("battery.* in training", {"name": EVERYTHING, "config": ["battery.charge=[0.5, 0.6]"]}),
     (
         "cut-off 4 Hz has no effect: .*'rate'",
         {"name": "indi", "options": ALLOWED | {"cutoff": 4.0}},
+    ),
+    (
+        "the policy observes moment_ext, and INDIflight does not give sensors|models? is 'motor'",
+        {"name": EVERYTHING, "options": ALLOWED | {"target": "indiflight"}},
     ),
     (
         "0.01 s, allowed: whole periods of 256",

@@ -1,4 +1,4 @@
-"""The C runtime, whatever the policy: warnings, self-tests, and words that are changed."""
+"""The C runtime, whatever the policy: warnings, analyzers, processors, self-tests."""
 
 import functools
 import shutil
@@ -7,24 +7,19 @@ import subprocess
 import numpy as np
 import pytest
 
-from benchmarks import eva, mutate
-from benchmarks.instructions_boards import Board, vehicles
-from benchmarks.instructions_builds import BUILDS, arm_none_eabi, bebop, zig_thumb
-from quadjax.core.errors import InputError
+from benchmarks import eva
+from benchmarks.instructions_boards import Board, sample_vehicle
+from benchmarks.instructions_builds import BUILDS, arm_none_eabi, bebop
 from quadjax.export import emulator
-from quadjax.export.cases import check_vectors, hostile_vectors
+from quadjax.export.compiler import WARNINGS, Skipped, host
 from quadjax.export.integers import quantize
-from quadjax.export.read import unpack
-from quadjax.export.targets import RUNTIME, TARGETS
-from quadjax.export.verify.build import Sources
-from quadjax.export.verify.result import Skipped
-from quadjax.export.verify.toolchain import WARNINGS, host
-from quadjax.export.words import layout_header, pack
-from tests.export.support import fixed
-from tests.export.words import FILES, at_of, edited, load, runtime_of, with_flipped_weight
+from quadjax.export.library import HOST, write_c
+from quadjax.export.vectors import check_vectors, hostile_vectors
+from tests.export.support import converted, library
 
 LARGEST_STACK = 3072  # bytes
-CLAMPED = 4  # instructions that depend on whether a command is clamped
+BRANCHES = 40  # instructions that depend on whether an input or a command is clamped
+SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -g -O1".split()
 
 
 def need(program):
@@ -34,27 +29,25 @@ def need(program):
     return program
 
 
-def test_the_words_of_the_c_are_those_of_the_table():
-    assert (RUNTIME / "qj_words.h").read_text() == layout_header()
-
-
 @pytest.mark.slow
 def test_no_compiler_warns(tmp_path):
-    makers = [host, bebop, *(functools.partial(f, "cortex-m4") for f in (arm_none_eabi, zig_thumb))]
-    for make in makers:
+    of = converted("everything", tmp_path / "policy", sampled=True)
+    files = write_c(of, tmp_path / "c")
+    for make in (host, bebop, functools.partial(arm_none_eabi, "cortex-m4")):
         try:
             compiler = make()
         except Skipped:
             continue
-        for source in FILES:
-            extra = [*WARNINGS, "-O3", f"-I{RUNTIME}", "-c"]
+        for source in files:
+            extra = [*WARNINGS, "-O3", f"-I{tmp_path / 'c'}", "-c"]
             compiler.build([source], tmp_path / "warnings.o", extra)
 
 
-def test_cppcheck_finds_nothing():
+def test_cppcheck_finds_nothing(tmp_path):
     command = [need("cppcheck"), "--enable=warning,performance,portability", "--error-exitcode=1"]
-    command += ["--std=c99", "--quiet", f"-I{RUNTIME}", *map(str, FILES)]
-    done = subprocess.run(command, capture_output=True, text=True)
+    files = write_c(converted("everything", tmp_path / "policy"), tmp_path / "c")
+    command += ["--std=c99", "--quiet", "--suppress=missingIncludeSystem", f"-I{tmp_path / 'c'}"]
+    done = subprocess.run([*command, *map(str, files)], capture_output=True, text=True)
     assert done.returncode == 0 and not done.stderr.strip(), done.stderr
 
 
@@ -62,167 +55,125 @@ def test_cppcheck_finds_nothing():
 @pytest.mark.parametrize("processor", BUILDS)
 @pytest.mark.parametrize("hidden", [(33, 7, 18), ()])  # that no block divides, and no hidden layer
 def test_every_kernel_has_the_bits_of_numpy_on_board(hidden, processor, tmp_path):
-    """And its instructions and stack do not depend on the numbers."""
-    policy = fixed("e2e", hidden)
-    network, (states, targets) = policy.network, states_of_any_bits(policy)
+    """And its instructions and stack hardly depend on the numbers."""
+    of = converted("published e2e", tmp_path / "policy", hidden)
+    network, missing = of.in_c.network, []
     x = np.concatenate([check_vectors(network, 400, None), hostile_vectors(network)])
     q = quantize(x, network.box.exponents).astype(np.int32)
-    seen, status = emulator.observe(policy.race, states, targets)
-    sources, missing = Sources.write(TARGETS[processor], None, tmp_path, policy), []
+    on_host = library(of, tmp_path / "host").pilot(of.frequency).step(0, sample_vehicle())[1]
     for build in BUILDS[processor]:
         try:
-            board = Board(sources, build, pack(policy), tmp_path)
+            board = Board(of, processor, build, tmp_path)
         except Skipped as reason:
             missing.append(str(reason))
             continue
-        rows = board.rows("forward", 5, len(q), q)
-        np.testing.assert_array_equal(rows, emulator.forward_rows(network, q))
-        goals = targets.astype(np.uint32)
-        rows = board.rows("observe", network.inputs + 3, len(states), states, goals)
-        np.testing.assert_array_equal(rows, np.concatenate([seen, status.view(np.int32)], axis=1))
-        counts, stacks = zip(*(board.count("infer", row) for row in x[::40]), strict=True)
-        assert max(counts) - min(counts) <= CLAMPED * network.outputs, build.label
-        steps = (board.count("step", row) for row in vehicles(policy, states[::40])[:, None])
-        assert max(*stacks, *(stack for _, stack in steps)) < LARGEST_STACK
+        if build.has_math:  # whole rpm
+            np.testing.assert_allclose(board.step(sample_vehicle()), on_host, atol=1.0)
+        np.testing.assert_array_equal(board.forward(q), emulator.forward_rows(network, q))
+        counts, stacks = zip(*(board.count("infer", row) for row in x[:400:10]), strict=True)
+        assert max(counts) - min(counts) <= BRANCHES + 8 * network.inputs, build.label
+        assert max(*stacks, board.count("step", sample_vehicle())[1]) < LARGEST_STACK
     if missing:
         pytest.skip("; ".join(missing))
 
 
-def states_of_any_bits(policy):
-    """States (n, state_size) float32, half of them of any bits, and target gates (n,)."""
-    rng, race, count = np.random.default_rng(6), policy.race, 400
-    ranges = np.ldexp(1.0, np.asarray(race.exponents))
-    states = (rng.uniform(-1.2, 1.2, (count, race.state_size)) * ranges).astype(np.float32)
-    bits = rng.integers(0, 2**32, (count // 2, race.state_size), dtype=np.uint32)
-    states[: count // 2] = bits.view(np.float32)
-    return states, rng.integers(0, race.gates, count)
-
-
-CHANGES = {  # of the C: file, what stands there, what stands there then
-    "shift of 31": ("qj_network.c", ">sums[row] >> WORD", ">sums[row] >> 31"),
-    "no ReLU": ("qj_network.c", "(upper > 0) ? upper : 0", "upper"),
-    "output shift": ("qj_network.c", "(int32_t)(sum >> ", "(int32_t)(sum >> 1 + "),
-    "NaN not seen": (
-        "qj_integers.h",
-        "*nan = (magnitude > UINT32_C(0x7F800000)) ? 1U : 0U",
-        "*nan = 0U",
+CHANGES = {  # of the C: what stands there, what stands there then
+    "shift of 31": (">sums[row] >> WORD", ">sums[row] >> 31"),
+    "no ReLU": ("(upper > 0) ? upper : 0", "upper"),
+    "output shift": ("(int32_t)(sum >> ", "(int32_t)(sum >> 1 + "),
+    "no clamp": (
+        "const int64_t sum = limited(sums[i], policy",
+        "const int64_t sum = high0(sums[i], policy",
     ),
-    "late clipping": ("qj_integers.h", "? limit : magnitude;", "? magnitude : magnitude;"),
-    "left for right": ("qj_race.c", "cosine * v[1] - sine", "cosine * v[1] + sine"),
-    "no rounding": ("qj_integers.h", "(value + (INT64_C(1) << (shift - 1)))", "value"),
-    "half a gain": ("qj_estimator.c", "qj_scaled(2 * x, gain", "qj_scaled(x, gain"),
-    "no residual": ("qj_estimator.c", "x[i] -= qj_clamp", "x[i] -= 0 * qj_clamp"),
-    "a square": ("qj_estimator.c", "square[0] - square[1]", "square[0] + square[1]"),
-    "no feedback": ("qj_estimator.c", "qj_scaled(y, qj_long(e + QJ_ESTIMATOR_A2), Q30)", "0"),
-    "another start": ("qj_estimator.c", "= -qj_scaled(d[i]", "= qj_scaled(d[i]"),
-    "above the limit": ("qj_estimator.c", "(command >= limit) ? ONE : 0", "ONE"),
-    "no limit": ("qj_estimator.c", "(command >= limit) ? limit : command", "command"),
-    "no lead": ("qj_estimator.c", "b[QJ_BATTERY_LEAD], ", "0, "),
-    "half a battery's gain": (
-        "qj_estimator.c",
-        "b[QJ_BATTERY_GAIN], ",
-        "b[QJ_BATTERY_GAIN] / 2, ",
-    ),
-    "one motor": ("qj_estimator.c", "sum += qj_scaled(error", "sum = qj_scaled(error"),
-    "below the lowest": ("qj_estimator.c", "qj_long(b + QJ_BATTERY_LOWEST), qj", "0, qj"),
-    "another first one": ("qj_estimator.c", "QJ_BATTERY_FIRST", "QJ_BATTERY_HIGHEST"),
+    "another row": ("of->sums[row] = of->bias[row]", "of->sums[row] = of->bias[0]"),
 }
 
 
 @pytest.mark.slow
-def test_the_self_tests_see_a_change_of_the_c(tmp_path):
-    words = pack(fixed("everything"))
-    assert load(runtime_of(tmp_path / "right"), words) == 0
-    for name, change in CHANGES.items():
-        assert load(runtime_of(tmp_path / name, change), words) == 13, name
+@pytest.mark.skipif(np.dtype(np.intp).itemsize != 8, reason="the plain kernel is that of a PC")
+def test_the_self_test_sees_a_change_of_the_c(tmp_path):
+    of = converted("published e2e", tmp_path / "policy", (16, 16))
+    assert library(of, tmp_path / "right").pilot(of.frequency).wrong is None
+    source = f"{of.target.folder}/qj_network.c"
+    text = of.files[source].decode()
+    for name, (old, new) in CHANGES.items():
+        assert text.count(old) == 1, name
+        changed = text.replace(old, new).replace(
+            "void qj_forward(", "#define high0(x, low, high) (x)\nvoid qj_forward("
+        )
+        vars(of)["files"] = of.files | {source: changed.encode()}
+        assert library(of, tmp_path / name.replace(" ", "_")).pilot(of.frequency).wrong, name
 
 
-@pytest.fixture(scope="module")
-def runtime(tmp_path_factory):
-    return runtime_of(tmp_path_factory.mktemp("runtime") / "c")
+def test_the_self_test_sees_a_change_of_every_table(tmp_path):
+    of = converted("published e2e", tmp_path / "policy")
+    header = f"{of.target.folder}/made.h"
+    text = of.files[header].decode()
+    tables = ("made_inputs", "made_gates", "made_gate_constants", "made_weights_0", "made_bias_1")
+    for table in tables:
+        start = text.index(f" {table}[")
+        at = text.index("7", text.index("{", start))  # a digit of a number of this table
+        changed = text[:at] + "6" + text[at + 1 :]
+        vars(of)["files"] = of.files | {header: changed.encode()}
+        assert library(of, tmp_path / table).pilot(of.frequency).wrong == "its self-test fails", (
+            table
+        )
 
 
-@pytest.fixture(scope="module")
-def data():
-    return pack(fixed("published racing"))
-
-
-EDITS = {  # what is changed: part, field, row, value, error of the loader
-    "magic": ("header", "magic", 0, 1, 2),
-    "version": ("header", "version", 0, 5, 3),
-    "size": ("header", "bytes", 0, 400, 1),
-    "inputs": ("header", "inputs", 0, 4000, 5),
-    "layers": ("header", "layers", 0, 17, 5),
-    "no gates": ("header", "gates", 0, 0, 6),
-    "more gates": ("header", "gates", 0, 4000, 1),
-    "shift": ("header", "output_shift", 0, 33, 6),
-    "fraction": ("header", "fraction_bits", 0, 31, 6),
-    "no time step": ("header", "period_ns", 0, 0, 6),
-    "low above high": ("header", "low", 0, 2**31 - 1, 6),
-    "rows": ("layer", "rows", 0, 500, 5),
-    "columns": ("layer", "columns", 0, 21, 6),
-    "an unknown field": ("field", "code", 0, 13, 7),
-    "a field of five": ("field", "size", 0, 5, 7),
-    "a range of 2^40": ("exponents", None, 0, 40, 7),
-    "an unknown input": ("part", "kind", 0, 8, 8),
-    "an input elsewhere": ("part", "index", 0, 1, 8),
-    "a source beyond the state": ("input", "source", 0, 99, 8),
-    "a shift of 61": ("input", "shift", 12, 61, 8),
-    "a scale that is not used": ("input", "middle", 0, 1, 8),
-    "a cosine above 1": ("gate", "cosine", 0, 2**30 + 1, 9),
-    "a negative width": ("gate", "half_width", 0, -1, 9),
-    "a gate elsewhere": ("gate", "position", 0, 12345, 13),
-    "padding of weights": ("weights", None, 4 * 20, 1, 10),
+REPLAY = """
+#include <stdio.h>
+#include "qj_pilot.h"
+#include "quadjax_policy.h"
+int main(void) {
+  static qj_pilot pilot;
+  qj_vehicle vehicle;
+  float command[QJ_COMMANDS];
+  if (qj_pilot_start(&pilot, &QUADJAX_POLICY, QJ_DEFAULT_KERNEL, 512.0F) != 0) { return 1; }
+  pilot.noise = 1U;
+  for (uint32_t now = 0U; fread(&vehicle, sizeof(vehicle), 1, stdin) == 1; now += 1953U) {
+    if (vehicle.time_us % 7U == 0U) { qj_pilot_wait(&pilot, &vehicle); }
+    (void)qj_pilot_step(&pilot, now, (vehicle.time_us % 5U == 0U) ? 0 : &vehicle, command);
+    fwrite(command, sizeof(command), 1, stdout);
+  }
+  return 0;
 }
-
-
-def test_what_a_new_checksum_does_not_hide(data, runtime):
-    assert load(runtime, data) == 0 and pack(unpack(data)) == data
-    for name, (part, field, row, value, error) in EDITS.items():
-        changed = edited(data, {at_of(data, part, field, row): value})
-        assert load(runtime, changed) == error, name
-        with pytest.raises(InputError):
-            unpack(changed)
-
-
-def test_every_flipped_bit_is_refused(data, runtime):
-    rng = np.random.default_rng(1)
-    for _ in range(300):
-        changed = bytearray(data)
-        changed[rng.integers(len(data))] ^= 1 << rng.integers(8)
-        assert load(runtime, bytes(changed)) != 0
-    with pytest.raises(InputError, match="changed since it was written|not a .qjp|bytes"):
-        unpack(bytes(changed))
-    for size in (4, 200, len(data) - 4):
-        assert load(runtime, data[: size // 4 * 4]) == 1
-
-
-def with_largest_weights(data):
-    """Words whose first neuron may overflow."""
-    start = at_of(data, "weights")
-    return edited(data, {start + 4 * column: 2**31 - 1 for column in range(20)})
-
-
-def test_weights_that_may_overflow_are_refused(data, runtime):
-    assert load(runtime, with_largest_weights(data)) == 11
-    with pytest.raises(InputError, match="layer 0, row 0: .* allowed"):
-        unpack(with_largest_weights(data))
-    assert load(runtime, with_flipped_weight(data)) == 13
+"""
 
 
 @pytest.mark.slow
-def test_mutated_files_under_sanitizers(tmp_path):
-    need("gcc")
-    files = []
-    for name in ("published racing", "everything", "racing, axes and more"):
-        files.append(tmp_path / f"{name}.qjp")
-        files[-1].write_bytes(pack(fixed(name)))
-    assert mutate.fuzz(files, 4500, 450, 0, mutate.build(tmp_path)) == []
+def test_states_of_any_bits_under_sanitizers(tmp_path):
+    of = converted("everything", tmp_path / "policy", sampled=True)
+    files = [path for path in write_c(of, tmp_path / "c") if path.parent != HOST]
+    (tmp_path / "replay.c").write_text(REPLAY)
+    flags = [*SANITIZERS, f"-I{tmp_path / 'c'}", "-lm"]
+    host().build([*files, tmp_path / "replay.c"], tmp_path / "replay", flags)
+    rows = np.repeat(sample_vehicle(), 20_000)
+    bits = np.random.default_rng(0).integers(0, 2**32, rows.nbytes // 4, dtype=np.uint32)
+    words, rng = rows.view(np.uint32), np.random.default_rng(1)
+    hostile = rng.random(len(words)) < 0.02
+    words[hostile] = bits[hostile]
+    rows["time_us"] = 1953 * np.arange(len(rows)) + rng.integers(-2, 3, len(rows))
+    rows["position_us"] = rows["time_us"]
+    done = subprocess.run([tmp_path / "replay"], input=rows.tobytes(), capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()[-2000:]
+    commands = np.frombuffer(done.stdout, np.float32).reshape(-1, 4)
+    assert len(commands) == len(rows)
+    assert np.all((commands == 0.0) | ((commands >= 3000.0) & (commands <= 11_000.0)))
+    assert (commands > 0.0).mean() > 0.5
 
 
 @pytest.mark.slow
 def test_frama_c_has_no_alarm(tmp_path):
     need("frama-c")
-    words = pack(fixed("racing, axes and more"))
-    assert eva.analyze(words, tmp_path / "right")[:2] == (0, True)
-    assert eva.analyze(with_largest_weights(words), tmp_path / "wrong")[0] > 0
+    of = converted("racing, axes and more", tmp_path / "policy")
+    assert eva.analyze(of, tmp_path / "right")[:2] == (0, True)
+    name = f"{of.target.folder}/made.h"
+    text, first = of.files[name].decode(), of.in_c.tables[0][0][:8].tolist()
+    row = ", ".join(map(str, first))
+    assert row in text
+    largest = text.replace(row, ", ".join([str(2**31 - 1)] * 8), 1)  # sums may overflow
+    for at in range(8, 4 * 24, 8):
+        row = ", ".join(map(str, of.in_c.tables[0][0][at : at + 4].tolist()))
+        largest = largest.replace(row, ", ".join([str(2**31 - 1)] * 4), 1)
+    vars(of)["files"] = of.files | {name: largest.encode()}
+    assert eva.analyze(of, tmp_path / "wrong")[0] > 0

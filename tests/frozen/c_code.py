@@ -1,7 +1,6 @@
 """Exported C in random states: the one place that knows which functions the C has."""
 
 import ctypes
-import re
 import subprocess
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -9,14 +8,16 @@ from pathlib import Path
 import numpy as np
 
 import quadjax
+from quadjax.export.library import VEHICLE
 
 COUNT = 5_000
-SPREADS = {"position": 6.0, "velocity": 3.0, "rates": 4.0, "attitude": 0.9, "euler": 0.9}
-RANGES = {
-    "rpm": (3000, 11000),
-    "rotor_speed": (0, 3000),
-    "thrust": (0, 15),
-    "highest_rpm": (9000, 11000),
+SPREADS = {
+    "position": 6.0,
+    "velocity": 3.0,
+    "rates": 4.0,
+    "specific_force": 10.0,
+    "body_velocity": 3.0,
+    "autopilot_command": 0.0,
 }
 FIVE_INCH = ("vehicle=5inch", "observation.actuator_range=[0, 3000]")
 AXES, LAST = "observation.attitude=rotation", "observation.last_action=true"
@@ -62,46 +63,29 @@ def cases(shipped: Iterable[str]) -> Iterator[tuple[str, str | Path, list[str]]]
         yield name, policy, ["--allow-unfinished", *wide]
 
 
-def random_states(header: str) -> np.ndarray:
-    """States (n, size) float32 of the fields that a header lists, from a fixed seed."""
-    body = header[header.index("State, as qj_observe takes it") : header.index("Do not edit")]
-    rng = np.random.default_rng(0)
-    parts = []
-    for name, size in re.findall(r"^ \*   (\w+)(?:\[(\d+)\])?  ", body, re.MULTILINE):
-        shape = (COUNT, int(size or 1))
-        if name in RANGES:
-            part = rng.uniform(*RANGES[name], shape)
-        elif name == "quaternion":
-            part = rng.standard_normal(shape)
-            part /= np.linalg.norm(part, axis=1, keepdims=True)
-        else:
-            part = rng.uniform(-1.0, 1.0, shape) * SPREADS.get(name, 0.01)
-        parts.append(part)
-    return np.concatenate(parts, axis=1).astype(np.float32)
+def random_states() -> np.ndarray:
+    """States (n,) of ``qj_vehicle`` from a fixed seed."""
+    rng, states = np.random.default_rng(0), np.zeros(COUNT, VEHICLE)
+    for name, spread in SPREADS.items():
+        states[name] = rng.uniform(-1.0, 1.0, states[name].shape) * spread
+    turned = rng.standard_normal((COUNT, 4))
+    states["quaternion"] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    states["rotor_speed"] = rng.uniform(300.0, 1150.0, (COUNT, 4))
+    states["thrust"] = rng.uniform(0.0, 15.0, COUNT)
+    states["time_us"] = states["position_us"] = 1953 * np.arange(1, COUNT + 1)
+    return states
 
 
 HARNESS = """
-#include "qj.h"
+#include "qj_pilot.h"
 #include "frozen.h"
-int commands(const float *states, int32_t *out, uint32_t count, uint32_t *fraction) {
-  static qj_policy policy;
-  static qj_race race;
-  static int32_t q[QJ_MAX_WIDTH];
-  const qj_error error = qj_load(&policy, frozen_words, sizeof(frozen_words));
-  if (error != QJ_OK) {
-    return (int)error;
+int commands(const qj_vehicle *states, float *out, uint32_t count) {
+  static qj_pilot pilot;
+  if (qj_pilot_start(&pilot, &frozen_policy, QJ_DEFAULT_KERNEL, 512.0F) != 0) {
+    return 1;
   }
-  *fraction = (policy.kind == QJ_RPM) ? 0U : policy.fraction_bits;
-  qj_race_start(&policy, &race, states, 0);
   for (uint32_t i = 0; i < count; ++i) {
-    float command[4];
-    (void)qj_race_update(&policy, &race, states + i * policy.state_size);
-    (void)qj_observe(&policy, race.target, states + i * policy.state_size, q);
-    qj_forward(&policy, q, out + 4 * i, 0);
-    qj_commands(&policy, out + 4 * i, command);
-    for (int k = 0; k < 4 && policy.kind == QJ_RPM; ++k) {
-      out[4 * i + k] = (int32_t)command[k];
-    }
+    (void)qj_pilot_step(&pilot, states[i].time_us, states + i, out + 4 * i);
   }
   return 0;
 }
@@ -116,16 +100,12 @@ def commands(
     (header,) = folder.rglob("frozen.h")
     source = folder / "harness.c"
     source.write_text(HARNESS)
-    files = [source, *(p for p in header.parent.glob("qj_*.c") if p.name != "qj_angles.c")]
-    library = folder / "frozen.so"
-    command = ["gcc", "-O2", "-shared", "-fPIC", f"-I{header.parent}", "-o", library, *files]
-    subprocess.run(command, check=True)
-    c, fraction = ctypes.CDLL(str(library.resolve())), ctypes.c_uint32()
-    states = random_states(header.read_text())
-    out, pointer = np.zeros((len(states), 4), np.int32), ctypes.c_void_p
+    files, library = [source, *header.parent.glob("qj_*.c")], folder / "frozen.so"
+    flags = ["-O2", "-ffp-contract=off", "-shared", "-fPIC", f"-I{header.parent}"]
+    subprocess.run(["gcc", *flags, "-o", library, *files, "-lm"], check=True)
+    c, states = ctypes.CDLL(str(library.resolve())), random_states()
+    out, pointer = np.zeros((len(states), 4), np.float32), ctypes.c_void_p
     places = (states.ctypes.data_as(pointer), out.ctypes.data_as(pointer))
-    if error := c.commands(*places, len(states), ctypes.byref(fraction)):
-        raise RuntimeError(f"{policy}: the loader refuses the words: error {error}")
-    if not fraction.value:
-        return out.astype(np.uint16)
-    return (out * np.float32(2.0**-fraction.value)).astype(np.float32)
+    if c.commands(*places, len(states)):
+        raise RuntimeError(f"{policy}: the pilot refuses the policy")
+    return out

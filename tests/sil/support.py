@@ -4,19 +4,20 @@ import dataclasses
 
 import numpy as np
 
+from quadjax.export.library import FLYING, LOST, VEHICLE
 from quadjax.race.laps import Laps
-from quadjax.sil.run import make_world
-from quadjax.sil.worlds import Now, World
+from quadjax.sil.drones import DroneState, SimulatedDrone
+from quadjax.sil.run import make_drone
 from quadjax.vehicle import rate
 
 STEPS = 40
 SHORT = 150  # steps
 
 
-def short_world(*arguments) -> World:
-    """As ``sil.run.make_world``; races end after ``SHORT`` steps."""
-    world = make_world(*arguments)
-    return dataclasses.replace(world, limit=min(SHORT, world.limit))
+def short_drone(*arguments) -> SimulatedDrone:
+    """As ``sil.run.make_drone``; races end after ``SHORT`` steps."""
+    drone = make_drone(*arguments)
+    return dataclasses.replace(drone, limit=min(SHORT, drone.limit))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,8 +42,11 @@ class Counting:
         return self.at(now.state + 1)
 
     def at(self, number):
-        numbers = np.arange(36, dtype=np.float32) + number
-        return Now(number, numbers, number % 4, np.full(13, float(number)), number >= STEPS)
+        vehicle, motion = np.zeros((), VEHICLE), np.full(3, float(number))
+        vehicle["position"] = number
+        true = dict.fromkeys(("position", "velocity", "attitude", "rates"), motion)
+        true |= {"actuators": np.float32(number)}
+        return DroneState(number, vehicle, true, number % 4, number >= STEPS)
 
     def result(self, now):
         done = now.over
@@ -55,15 +59,23 @@ class Autopilot:
 
     label, files = "a function", ""
 
-    def __init__(self, reply=lambda number: (number / 100.0, 0.0, 0.0, 9.0)):
-        self._reply = reply
+    def __init__(
+        self,
+        reply=lambda number: (number / 100.0, 0.0, 0.0, 9.0),
+        statuses=lambda number: FLYING,
+    ):
+        self._reply, self._statuses, self.replies = reply, statuses, {}
 
     def begin(self):
-        self.seen = []  # steps of the states, by their times and by their positions
+        self.seen = []  # times of the calls, and positions of their states
 
-    def step(self, time, state):
-        self.seen.append((round(time / Counting.step), int(state["position"][0])))
-        return np.float32(self._reply(self.seen[-1][0]))
+    def step(self, now_us, vehicle):
+        if vehicle is None:
+            self.seen.append((now_us, None))
+            return LOST, np.zeros(4, np.float32)
+        self.seen.append((now_us, int(vehicle["position"][0])))
+        status = self._statuses(self.seen[-1][1])
+        return status, np.float32(self.replies.get(status) or self._reply(self.seen[-1][1]))
 
     def counts(self):
-        return {"nan steps": 0, "clipped steps": len(self.seen)}
+        return {"nan steps": 0, "outside steps": len(self.seen)}

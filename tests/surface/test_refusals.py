@@ -24,7 +24,6 @@ FILES = {
     "notes.txt": "a text",
     "empty.csv": "",
     "short.csv": "time,rate_p\n0.0,0.1\n",
-    "words.qjp": "",
     "latin.yaml": b"seed: 1\nname: caf\xe9\n",
     "latin.csv": b"time,rate_p\n0.0,0.1\n0.1,\xff\n",
     "twice.yaml": "logs: {format: plain}\nlogs: {format: paparazzi}\n",
@@ -235,13 +234,12 @@ export e2e --output out --name sys_time | runtime names policy_sys_time
 export e2e --output out --track nowhere.yaml | nowhere.yaml
 export e2e --output= | --output
 export e2e --output out --target indiflight | indiflight motor racing vehicle=5inch
-verify nosuch | nosuch folder export .qjp
+verify nosuch | nosuch folder export
 verify '' | DIR '' folder export
 verify tracks | tracks _report.json folder export
 verify notes.txt | notes.txt
 sil nosuch | nosuch folder policy
 sil e2e --target indiflight | indiflight motor racing vehicle=5inch
-sil words.qjp | words.qjp folder
 sil indi --delay 5 | --delay effect --late
 sil indi --simulator effects.gusts=0 | effect --simulator
 sil indi --wrong-unit rates=turns | --wrong-unit rates=turns

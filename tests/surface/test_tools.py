@@ -89,7 +89,7 @@ def racing_policy(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("target", ["cortex-a9", "qjp"])
+@pytest.mark.parametrize("target", ["cortex-a9", "indiflight"])
 def test_a_racing_policy_is_exported_and_flown(target, racing_policy, tmp_path, monkeypatch):
     """And for INDIflight by the commands of docs/guide/autopilots.md, in tests/docs."""
     monkeypatch.chdir(tmp_path)

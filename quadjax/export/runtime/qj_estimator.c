@@ -1,196 +1,148 @@
 /*
- * Estimators of external moment and force, and of the highest rpm: see qj.h.
+ * The estimators of external moment and force and of the highest rotor speed: see qj.h.
  *
- * Disturbances: measurements are integers of 2^-30 of their ranges, products of two of them are
- * brought back to Q30, and the six channels are kept in fine units of 2^-46 of their ranges. With
- * K / 2^32 the gain of the low-pass and d what is differentiated times 2 f_s:
+ * Moment and force are those of quadjax/vehicle/estimator.py: with H the low-pass,
  *
- *   y = K (x + d) + s1,  s1 = s2 + 2 K x - a1 y,  s2 = K (x - d) - a2 y
+ *   M_ext = H [ (I w)' + w x I w - M(rpm, v, w) ],  F_ext = H [ accelerometer - F(rpm, v) ],
  *
- * Highest rpm: speeds and commands are integers of 2^-30 of their range, the memory is in fine units
- * of 2^-40 of it. With w a measured speed, u its command and h the estimate, for each motor:
- *
- *   expected' = expected + k (min(u, h) - expected)
- *   limited'  = limited + k ([u >= h] - limited)
- *   error     = speed + lead (w - speed) - expected'
- *   speed'    = speed + k (w - speed)
- *
- * and h' = h + gain sum(error limited'), held to its limits.
+ * where the moment of rotor acceleration is differentiated by the filter too. The highest speed is
+ * that of quadjax/vehicle/battery.py.
  */
-#include "qj_integers.h"
+#include "qj.h"
 
-enum { LOW_PASS_BITS = 32, MODEL_BITS = 14, DIFFERENCE_BITS = 10 };
+/* ---- the model ----------------------------------------------------------------------------------- */
 
-/* a b in Q30 */
-static int64_t product(int64_t a, int64_t b) { return qj_round_shift(a * b, Q30); }
-
-static void monomials(const int32_t s[13], int64_t m[QJ_MONOMIALS]) {
-  int64_t square[4];
-  const int64_t sum = (int64_t)s[6] + s[7] + s[8] + s[9];
-  for (uint32_t i = 0U; i < 4U; ++i) {
-    square[i] = product(s[6U + i], s[6U + i]);
+/* The output of a network with ReLU, of inputs in ``from``; both buffers are overwritten. */
+static const float *run_network(const qj_float_layer *layer, uint32_t layers, float *from, float *to) {
+  for (uint32_t number = 0U; number < layers; ++number) {
+    const float *weight = layer[number].weights;
+    for (uint32_t row = 0U; row < layer[number].rows; ++row) {
+      float sum = layer[number].bias[row];
+      for (uint32_t column = 0U; column < layer[number].columns; ++column) {
+        sum += weight[column] * from[column];
+      }
+      weight += layer[number].columns;
+      to[row] = ((number + 1U < layers) && (sum < 0.0F)) ? 0.0F : sum;
+    }
+    float *const swapped = from;
+    from = to;
+    to = swapped;
   }
+  return from;
+}
+
+static void residual_inputs(const qj_residual *r, const qj_measured *m, float x[10]) {
+  for (uint32_t i = 0U; i < 4U; ++i) {
+    x[i] = 2.0F * (m->rotor_rpm[i] - r->low_rpm) / (r->high_rpm - r->low_rpm) - 1.0F;
+  }
+  for (uint32_t i = 0U; i < 3U; ++i) {
+    x[4U + i] = m->body_velocity[i];
+    x[7U + i] = m->rates[i];
+  }
+}
+
+/* Specific force (3 to 5) and moment (0 to 2) of the model, but for the rotors' acceleration. */
+static void model_of(const qj_disturbance_model *c, const qj_measured *m, float out[6]) {
+  const float *const w = m->rotor_rpm;
+  const float *const v = m->body_velocity;
+  const float s[4] = {w[0] * w[0], w[1] * w[1], w[2] * w[2], w[3] * w[3]};
+  const float sum = w[0] + w[1] + w[2] + w[3];
+  out[0] = c->k_p * (s[0] - s[1] - s[2] + s[3]) + c->k_pv * v[1];
+  out[1] = c->k_q * (s[0] + s[1] - s[2] - s[3]) + c->k_qv * v[0];
+  out[2] = c->k_r1 * (-w[0] + w[1] - w[2] + w[3]) - c->k_rr * m->rates[2];
+  out[3] = -c->k_x * v[0] * sum;
+  out[4] = -c->k_y * v[1] * sum;
+  out[5] = -c->k_w * (s[0] + s[1] + s[2] + s[3]) - c->k_z * v[2] * sum -
+           c->k_h * (v[0] * v[0] + v[1] * v[1]);
+  if (c->residual != 0) {
+    float buffer[2][QJ_MAX_WIDTH];
+    residual_inputs(c->residual, m, buffer[0]);
+    out[5] += run_network(c->residual->thrust, c->residual->thrust_layers, buffer[0], buffer[1])[0];
+    residual_inputs(c->residual, m, buffer[0]);
+    const float *const moment =
+        run_network(c->residual->moment, c->residual->moment_layers, buffer[0], buffer[1]);
+    for (uint32_t i = 0U; i < 3U; ++i) {
+      out[i] += moment[i];
+    }
+  }
+}
+
+/* For each channel what is low-passed, x, and what is differentiated, d. */
+static void unexplained(const qj_disturbance_model *c, const qj_measured *m, float x[6], float d[6]) {
+  const float *const w = m->rotor_rpm;
+  const float *const n = m->rates;
+  const float *const inertia = c->inertia;
+  float model[6];
+  model_of(c, m, model);
+  x[0] = (inertia[2] - inertia[1]) * n[1] * n[2] - model[0];
+  x[1] = (inertia[0] - inertia[2]) * n[2] * n[0] - model[1];
+  x[2] = (inertia[1] - inertia[0]) * n[0] * n[1] - model[2];
+  for (uint32_t i = 0U; i < 3U; ++i) {
+    d[i] = inertia[i] * n[i];
+    x[3U + i] = m->specific_force[i] - model[3U + i];
+    d[3U + i] = 0.0F;
+  }
+  d[2] -= c->k_r2 * (-w[0] + w[1] - w[2] + w[3]);
+}
+
+/* ---- moment and force ---------------------------------------------------------------------------- */
+
+/* The filter's memory after a sample, in the transposed direct form II. */
+static void remember(const qj_disturbance_model *c, qj_disturbance *memory, uint32_t i, float x,
+                     float d, float y) {
+  memory->first[i] = memory->second[i] + c->low_pass[1] * x + c->derivative[1] * d -
+                     c->feedback[0] * y;
+  memory->second[i] = c->low_pass[2] * x + c->derivative[2] * d - c->feedback[1] * y;
+}
+
+void qj_disturbance_start(const qj_disturbance_model *c, qj_disturbance *memory,
+                          const qj_measured *measured, const float estimate[6]) {
+  float x[6];
+  float d[6];
+  unexplained(c, measured, x, d);
+  for (uint32_t i = 0U; i < 6U; ++i) { /* as if d had been constant and x the estimate for long */
+    memory->second[i] = 0.0F;
+    remember(c, memory, i, estimate[i], d[i], estimate[i]);
+    remember(c, memory, i, estimate[i], d[i], estimate[i]);
+  }
+}
+
+void qj_disturbance_update(const qj_disturbance_model *c, qj_disturbance *memory,
+                           const qj_measured *measured, float estimate[6]) {
+  float x[6];
+  float d[6];
+  unexplained(c, measured, x, d);
   for (uint32_t i = 0U; i < 6U; ++i) {
-    m[i] = s[i]; /* rates and specific force */
+    const float y = c->low_pass[0] * x[i] + c->derivative[0] * d[i] + memory->first[i];
+    remember(c, memory, i, x[i], d[i], y);
+    estimate[i] = y;
   }
-  m[6] = s[10];
-  m[7] = s[11];
-  m[8] = product(s[1], s[2]);
-  m[9] = product(s[2], s[0]);
-  m[10] = product(s[0], s[1]);
-  m[11] = square[0] - square[1] - square[2] + square[3];
-  m[12] = square[0] + square[1] - square[2] - square[3];
-  m[13] = square[0] + square[1] + square[2] + square[3];
-  m[14] = -(int64_t)s[6] + s[7] - s[8] + s[9];
-  for (uint32_t i = 0U; i < 3U; ++i) {
-    m[15U + i] = product(s[10U + i], sum);
-  }
-  m[18] = qj_round_shift((int64_t)s[10] * s[10] + (int64_t)s[11] * s[11], Q30);
 }
 
-/* What the residual networks add, held to half of the channels' ranges. */
-static void residual(const qj_policy *policy, const int32_t s[13], uint32_t first, uint32_t count,
-                     const int32_t *shifts, uint32_t outputs, int64_t *x) {
-  int32_t buffer[2][QJ_MAX_WIDTH];
-  const int32_t *const e = policy->estimator;
-  const qj_layer *const layer = &policy->layer[first];
-  int64_t sums[QJ_COMMANDS];
-  for (uint32_t i = 0U; i < layer->padded_columns; ++i) {
-    buffer[0][i] = 0;
-  }
+/* ---- the highest rotor speed --------------------------------------------------------------------- */
+
+void qj_battery_start(qj_battery *memory, const float rotor_rpm[4]) {
   for (uint32_t i = 0U; i < 4U; ++i) {
-    const int64_t apart = (int64_t)s[6U + i] - e[QJ_ESTIMATOR_RPM_MIDDLE];
-    const int64_t rpm = qj_round_shift(apart * e[QJ_ESTIMATOR_RPM_FACTOR],
-                                       e[QJ_ESTIMATOR_RPM_SHIFT]);
-    buffer[0][i] = (int32_t)qj_clamp(rpm, -QJ_INPUT_ONE, QJ_INPUT_ONE);
-  }
-  for (uint32_t i = 0U; i < 3U; ++i) {
-    buffer[0][4U + i] = s[10U + i];
-    buffer[0][7U + i] = (layer->columns > 7U) ? s[i] : 0;
-  }
-  qj_run_layers(policy, layer, count, buffer, sums, 0);
-  for (uint32_t i = 0U; i < outputs; ++i) {
-    x[i] -= qj_clamp(qj_round_shift(sums[i], shifts[i]), -(INT64_C(1) << (QJ_FINE_BITS - 1)),
-                     INT64_C(1) << (QJ_FINE_BITS - 1));
+    memory->speed[i] = rotor_rpm[i];
+    memory->expected[i] = rotor_rpm[i];
+    memory->limited[i] = 0.0F;
   }
 }
 
-/* What is not explained: x goes into the filters, d is differentiated by them. */
-static void unexplained(const qj_policy *policy, const int32_t s[13], int64_t x[QJ_CHANNELS],
-                        int64_t d[QJ_CHANNELS]) {
-  const int32_t *const e = policy->estimator;
-  const int32_t *term = policy->terms;
-  int64_t sums[2 * QJ_CHANNELS] = {0};
-  int64_t m[QJ_MONOMIALS];
-  monomials(s, m);
-  for (int32_t i = 0; i < e[QJ_ESTIMATOR_TERMS]; ++i) {
-    sums[term[QJ_TERM_CHANNEL]] += qj_long(term + QJ_TERM_FACTOR) * m[term[QJ_TERM_MONOMIAL]];
-    term += QJ_TERM_WORDS;
+void qj_battery_update(const qj_battery_model *model, qj_battery *memory, const float rotor_rpm[4],
+                       const float command[4], float *highest_rpm) {
+  const float limit = *highest_rpm;
+  float sum = 0.0F;
+  for (uint32_t i = 0U; i < 4U; ++i) {
+    const uint32_t is_limited = (command[i] >= limit) ? 1U : 0U;
+    const float reachable = (is_limited != 0U) ? limit : command[i];
+    const float apart = rotor_rpm[i] - memory->speed[i];
+    memory->expected[i] += (reachable - memory->expected[i]) * model->low_pass;
+    memory->limited[i] += ((float)is_limited - memory->limited[i]) * model->low_pass;
+    sum += (memory->speed[i] + apart * model->lead - memory->expected[i]) * memory->limited[i];
+    memory->speed[i] += apart * model->low_pass;
   }
-  for (uint32_t i = 0U; i < QJ_CHANNELS; ++i) {
-    x[i] = qj_round_shift(sums[i], MODEL_BITS);
-    d[i] = qj_round_shift(sums[QJ_CHANNELS + i], DIFFERENCE_BITS);
-  }
-  if (e[QJ_ESTIMATOR_THRUST_LAYERS] != 0) {
-    residual(policy, s, policy->layers, (uint32_t)e[QJ_ESTIMATOR_THRUST_LAYERS],
-             e + QJ_ESTIMATOR_THRUST_SHIFT, 1U, x + 5);
-    residual(policy, s, qj_moment_layer(policy), (uint32_t)e[QJ_ESTIMATOR_MOMENT_LAYERS],
-             e + QJ_ESTIMATOR_MOMENT_SHIFT, 3U, x);
-  }
-}
-
-/* The converter has bounded the output by the range; the clamp, which changes nothing then, makes
- * that hold for any numbers. */
-static int64_t filter(const int32_t *e, qj_estimator *estimator, uint32_t i, int64_t x, int64_t d) {
-  const int64_t gain = qj_long(e + QJ_ESTIMATOR_GAIN);
-  const int64_t limit = INT64_C(1) << QJ_FINE_BITS;
-  const int64_t y = qj_clamp(qj_scaled(x + d, gain, LOW_PASS_BITS) + estimator->s1[i], -limit, limit);
-  estimator->s1[i] = estimator->s2[i] + qj_scaled(2 * x, gain, LOW_PASS_BITS) -
-                     qj_scaled(y, qj_long(e + QJ_ESTIMATOR_A1), Q30);
-  estimator->s2[i] = qj_scaled(x - d, gain, LOW_PASS_BITS) -
-                     qj_scaled(y, qj_long(e + QJ_ESTIMATOR_A2), Q30);
-  return y;
-}
-
-/* A power of two, so that a product with it is exact. */
-static float power_of_two(int32_t exponent) { return qj_float((127 + exponent) * (1 << 23)); }
-
-qj_status qj_estimator_update(const qj_policy *policy, qj_estimator *estimator,
-                              const float measured[13], float moment[3], float force[3]) {
-  const int32_t *const e = policy->estimator;
-  int32_t s[13];
-  int64_t x[QJ_CHANNELS];
-  int64_t d[QJ_CHANNELS];
-  float y[QJ_CHANNELS];
-  const qj_status status = qj_quantize_all(measured, e + QJ_ESTIMATOR_EXPONENTS, 13U, s);
-  unexplained(policy, s, x, d);
-  for (uint32_t i = 0U; i < QJ_CHANNELS; ++i) {
-    if (estimator->started == 0U) {
-      estimator->s1[i] = -qj_scaled(d[i], qj_long(e + QJ_ESTIMATOR_GAIN), LOW_PASS_BITS);
-      estimator->s2[i] = estimator->s1[i];
-    }
-    const int64_t fine = filter(e, estimator, i, x[i], d[i]);
-    y[i] = (float)(int32_t)(fine >> (QJ_FINE_BITS - Q30)) *
-           power_of_two(e[QJ_ESTIMATOR_CHANNELS + i] - Q30);
-  }
-  estimator->started = 1U;
-  for (uint32_t i = 0U; i < 3U; ++i) {
-    moment[i] = y[i];
-    force[i] = y[3U + i];
-  }
-  return status;
-}
-
-/* ---- the highest rpm ---------------------------------------------------------------------------- */
-
-#define FINE (INT64_C(1) << (QJ_BATTERY_BITS - Q30)) /* fine units of 2^-30 of the range */
-#define ONE (INT64_C(1) << QJ_BATTERY_BITS)          /* of limited */
-
-static int64_t towards(const int32_t *b, int64_t past, int64_t now) {
-  return past + qj_scaled(now - past, b[QJ_BATTERY_LOW_PASS], b[QJ_BATTERY_LOW_PASS_SHIFT]);
-}
-
-static void advance(const int32_t *b, qj_battery *battery, const int32_t s[8]) {
-  const int64_t limit = battery->highest;
-  int64_t sum = 0;
-  for (uint32_t i = 0U; i < QJ_COMMANDS; ++i) {
-    const int64_t rpm = s[i] * FINE;
-    const int64_t command = s[QJ_COMMANDS + i] * FINE;
-    const int64_t speed = battery->speed[i];
-    battery->expected[i] = towards(b, battery->expected[i], (command >= limit) ? limit : command);
-    battery->limited[i] = towards(b, battery->limited[i], (command >= limit) ? ONE : 0);
-    const int64_t error =
-        speed + qj_scaled(rpm - speed, b[QJ_BATTERY_LEAD], b[QJ_BATTERY_LEAD_SHIFT]) -
-        battery->expected[i];
-    battery->speed[i] = towards(b, speed, rpm);
-    sum += qj_scaled(error, battery->limited[i] >> (QJ_BATTERY_BITS - Q30), Q30);
-  }
-  battery->highest =
-      qj_clamp(limit + qj_scaled(sum, b[QJ_BATTERY_GAIN], b[QJ_BATTERY_GAIN_SHIFT]),
-               qj_long(b + QJ_BATTERY_LOWEST), qj_long(b + QJ_BATTERY_HIGHEST));
-}
-
-qj_status qj_battery_update(const qj_policy *policy, qj_battery *battery, const float sample[8],
-                            float *highest_rpm) {
-  const int32_t *const b = policy->battery;
-  int32_t exponents[8];
-  int32_t s[8];
-  for (uint32_t i = 0U; i < 8U; ++i) {
-    exponents[i] = b[QJ_BATTERY_EXPONENT];
-  }
-  const qj_status status = qj_quantize_all(sample, exponents, 8U, s);
-  if (battery->started != 0U) {
-    advance(b, battery, s);
-  } else {
-    for (uint32_t i = 0U; i < QJ_COMMANDS; ++i) {
-      battery->speed[i] = s[i] * FINE;
-      battery->expected[i] = s[i] * FINE;
-      battery->limited[i] = 0;
-    }
-    battery->highest = qj_long(b + QJ_BATTERY_FIRST);
-    battery->started = 1U;
-  }
-  *highest_rpm = (float)(int32_t)(battery->highest >> (QJ_BATTERY_BITS - Q30)) *
-                 power_of_two(b[QJ_BATTERY_EXPONENT] - Q30);
-  return status;
+  const float highest = limit + model->gain * sum;
+  *highest_rpm = (highest > model->highest) ? model->highest
+                 : (highest < model->lowest) ? model->lowest : highest;
 }

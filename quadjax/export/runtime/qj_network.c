@@ -2,11 +2,16 @@
  * The network: see qj.h.
  *
  * Every hidden neuron is  y = max(0, (bias + sum of weight * x) >> 32),  the rounding half folded
- * into its bias: ReLU, rounding and requantization are one shift by a whole word. qj_load proves that
- * no partial sum reaches 2^63 and no y exceeds 2^30 - 1. Right shifts of negative numbers are
- * arithmetic, as in every compiler that this is for; the self-test would see it otherwise.
+ * into its bias: ReLU, rounding and requantization are one shift by a whole word. quadjax export
+ * proves for every input that no partial sum reaches 2^63 and no y exceeds 2^30 - 1. Right shifts of
+ * negative numbers are arithmetic, as in every compiler that this is for; the self-test would see it
+ * otherwise.
  */
-#include "qj_integers.h"
+#include <math.h>
+
+#include "qj.h"
+
+enum { WORD = 32 };
 
 #if QJ_HAS_NEON
 #if !defined(__ARM_NEON) && !defined(__ARM_NEON__)
@@ -38,7 +43,7 @@ typedef struct {
   const int32_t *weight;
   const int32_t *end; /* of the inputs */
   const int32_t *x;
-  const int32_t *bias;
+  const int64_t *bias;
   int64_t *sums;
   int32_t *y; /* of each sum the upper word, or zero if it is negative */
 } block;
@@ -91,7 +96,7 @@ static inline void block_sums(const block *of) {
 static inline void block_sums(const block *of) {
   const int32_t *weight = of->weight;
   for (uint32_t row = 0U; row < (uint32_t)ROWS_PER_BLOCK; ++row) {
-    of->sums[row] = qj_long(of->bias + 2U * row);
+    of->sums[row] = of->bias[row];
   }
   for (const int32_t *x = of->x; x != of->end; ++x) {
     for (uint32_t row = 0U; row < (uint32_t)ROWS_PER_BLOCK; ++row) {
@@ -106,9 +111,19 @@ static inline void block_sums(const block *of) {
 }
 #endif
 
+/* FNV-1a over words. */
+#define DIGEST_START UINT32_C(2166136261)
+static inline uint32_t digest(uint32_t value, uint32_t word) {
+  return (value ^ word) * UINT32_C(16777619);
+}
+
+static inline uint32_t digest_long(uint32_t value, int64_t wide) {
+  return digest(digest(value, (uint32_t)(uint64_t)wide), (uint32_t)((uint64_t)wide >> WORD));
+}
+
 static void digest_sums(uint32_t *trace, const int64_t *sums, uint32_t rows) {
   for (uint32_t row = 0U; (row < rows) && (row < ROWS_PER_BLOCK); ++row) {
-    *trace = qj_digest_long(*trace, sums[row]);
+    *trace = digest_long(*trace, sums[row]);
   }
 }
 
@@ -121,7 +136,7 @@ KERNEL void layer_scalar(const qj_layer *layer, const int32_t *x, int32_t *y,
       digest_sums(trace, sums, layer->rows - row);
     }
     of.weight += ROWS_PER_BLOCK * layer->padded_columns;
-    of.bias += 2 * ROWS_PER_BLOCK;
+    of.bias += ROWS_PER_BLOCK;
     of.y += ROWS_PER_BLOCK;
   }
 }
@@ -137,16 +152,12 @@ static inline int64x2_t lane_sums(int64x2_t a, int64x2_t b) {
                    vcombine_s64(vget_high_s64(a), vget_high_s64(b)));
 }
 
-static inline int64x2_t two_longs(const int32_t *words) {
-  return vreinterpretq_s64_s32(vld1q_s32(words));
-}
-
 /* One register per row: its lanes sum even and odd columns apart, and the four rows are four
  * independent chains. vld4 takes four columns of the block and hands them over row by row. */
 KERNEL void layer_neon(const qj_layer *layer, const int32_t *restrict x, int32_t *restrict y,
                        int64_t sums[ROWS_PER_BLOCK], uint32_t *trace) {
   const int32_t *weight = layer->weights;
-  const int32_t *bias = layer->bias;
+  const int64_t *bias = layer->bias;
   const int32_t *const end = x + layer->padded_columns;
   for (uint32_t row = 0U; row < layer->padded_rows; row += ROWS_PER_BLOCK) {
     int64x2_t sum_0 = vdupq_n_s64(0);
@@ -166,8 +177,8 @@ KERNEL void layer_neon(const qj_layer *layer, const int32_t *restrict x, int32_t
       sum_3 = vmlal_s32(sum_3, vget_high_s32(rows.val[3]), vget_high_s32(value));
       weight += 4 * ROWS_PER_BLOCK;
     }
-    const int64x2_t first = vaddq_s64(two_longs(bias), lane_sums(sum_0, sum_1));
-    const int64x2_t second = vaddq_s64(two_longs(bias + 4), lane_sums(sum_2, sum_3));
+    const int64x2_t first = vaddq_s64(vld1q_s64(bias), lane_sums(sum_0, sum_1));
+    const int64x2_t second = vaddq_s64(vld1q_s64(bias + 2), lane_sums(sum_2, sum_3));
     const int32x4_t upper = vcombine_s32(vshrn_n_s64(first, WORD), vshrn_n_s64(second, WORD));
     vst1q_s32(y + row, vmaxq_s32(upper, vdupq_n_s32(0)));
     vst1q_s64(sums, first);
@@ -175,7 +186,7 @@ KERNEL void layer_neon(const qj_layer *layer, const int32_t *restrict x, int32_t
     if ((trace != 0) && (row < layer->rows)) {
       digest_sums(trace, sums, layer->rows - row);
     }
-    bias += 2 * ROWS_PER_BLOCK;
+    bias += ROWS_PER_BLOCK;
   }
 }
 #if NEON_NEEDS_TARGET
@@ -183,123 +194,177 @@ KERNEL void layer_neon(const qj_layer *layer, const int32_t *restrict x, int32_t
 #endif
 #endif
 
-void qj_run_layers(const qj_policy *policy, const qj_layer *layer, uint32_t count,
-                   int32_t buffer[2][QJ_MAX_WIDTH], int64_t sums[QJ_COMMANDS], uint32_t *trace) {
-  for (uint32_t i = 0U; i < count; ++i) {
-    const int32_t *const x = buffer[i & 1U];
-    int32_t *const y = buffer[(i + 1U) & 1U];
-#if QJ_HAS_NEON
-    if (policy->kernel == QJ_NEON) {
-      layer_neon(&layer[i], x, y, sums, trace);
-      continue;
-    }
-#else
-    (void)policy;
-#endif
-    layer_scalar(&layer[i], x, y, sums, trace);
-  }
-}
-
-qj_status qj_quantize(const qj_policy *policy, const float *x, int32_t *q) {
-  qj_status status = {0U, 0U, 0U};
-  const int32_t *part = policy->part;
-  for (uint32_t number = 0U; number < policy->parts; ++number) {
-    const int32_t exponent = part[QJ_PART_EXPONENT];
-    const uint32_t end = (uint32_t)(part[QJ_PART_INDEX] + part[QJ_PART_SIZE]);
-    for (uint32_t i = (uint32_t)part[QJ_PART_INDEX]; i < end; ++i) {
-      uint32_t clipped;
-      uint32_t nan;
-      q[i] = qj_quantize_one(qj_bits(x[i]), exponent, &clipped, &nan);
-      qj_flag(&status.clipped, i, clipped);
-      qj_flag(&status.nan, i, nan);
-    }
-    part += QJ_PART_WORDS;
-  }
-  return status;
-}
-
-void qj_forward(const qj_policy *policy, const int32_t *q, int32_t command[QJ_COMMANDS],
-                uint32_t *trace) {
+/* The sums of the output for inputs, which are held to their ranges. */
+static void run(const qj_policy *policy, qj_kernel kernel, const int32_t *q,
+                int64_t sums[ROWS_PER_BLOCK], uint32_t *trace) {
   int32_t buffer[2][QJ_MAX_WIDTH];
-  int64_t sums[ROWS_PER_BLOCK];
   for (uint32_t i = 0U; i < policy->inputs; ++i) {
-    const int32_t high = (q[i] > QJ_INPUT_ONE) ? QJ_INPUT_ONE : q[i];
-    buffer[0][i] = (high < -QJ_INPUT_ONE) ? -QJ_INPUT_ONE : high;
+    const int32_t high = (q[i] > QJ_ONE) ? QJ_ONE : q[i];
+    buffer[0][i] = (high < -QJ_ONE) ? -QJ_ONE : high;
   }
   for (uint32_t i = policy->inputs; i < policy->layer[0].padded_columns; ++i) {
     buffer[0][i] = 0;
   }
   if (trace != 0) {
-    *trace = QJ_DIGEST_START;
+    *trace = DIGEST_START;
   }
-  qj_run_layers(policy, policy->layer, policy->layers, buffer, sums, trace);
-  /* Clamped in the sum's own units: a limit is below 2^31 and the shift at most 32. */
-  const int64_t unit = INT64_C(1) << policy->output_shift;
+  for (uint32_t i = 0U; i < policy->layers; ++i) {
+#if QJ_HAS_NEON
+    if (kernel == QJ_NEON) {
+      layer_neon(&policy->layer[i], buffer[i & 1U], buffer[(i + 1U) & 1U], sums, trace);
+      continue;
+    }
+#else
+    (void)kernel;
+#endif
+    layer_scalar(&policy->layer[i], buffer[i & 1U], buffer[(i + 1U) & 1U], sums, trace);
+  }
+}
+
+static inline int64_t limited(int64_t value, int64_t low, int64_t high) {
+  return (value < low) ? low : ((value > high) ? high : value);
+}
+
+qj_status qj_quantize(const qj_policy *policy, const float *x, int32_t *q) {
+  qj_status status = {0U, 0U};
+  for (uint32_t i = 0U; i < policy->inputs; ++i) {
+    const uint32_t bit = UINT32_C(1) << ((i < 31U) ? i : 31U);
+    const float range = policy->input[i].range;
+    const uint32_t is_finite = qj_is_finite(x[i]);
+    const float value = (is_finite != 0U) ? x[i] : 0.0F;
+    const float of_range = value / range; /* a power of two: exact */
+    const float held = (of_range >= 1.0F) ? 1.0F : ((of_range > -1.0F) ? of_range : -1.0F);
+    status.nan |= (is_finite != 0U) ? 0U : bit;
+    status.outside |= (fabsf(of_range) > 1.0F) ? bit : 0U;
+    q[i] = (int32_t)(held * (float)QJ_ONE); /* exact, truncated */
+  }
+  return status;
+}
+
+void qj_forward(const qj_policy *policy, qj_kernel kernel, const int32_t *q,
+                int32_t command[QJ_COMMANDS], uint32_t *trace) {
+  int64_t sums[ROWS_PER_BLOCK];
+  run(policy, kernel, q, sums, trace);
   for (uint32_t i = 0U; i < QJ_COMMANDS; ++i) {
-    const int64_t sum = qj_clamp(sums[i], policy->low[i] * unit, policy->high[i] * unit);
+    const int64_t unit = INT64_C(1) << policy->output_shift; /* at most 2^32 */
+    const int64_t sum = limited(sums[i], policy->low[i] * unit, policy->high[i] * unit);
     command[i] = (int32_t)(sum >> policy->output_shift);
   }
 }
 
-#ifdef QJ_SAMPLED
-/* 32 bits: a hash (lowbias32 of C. Wellons) of a counter that steps by 2^32 over the golden ratio. */
-static inline uint32_t next_bits(uint32_t *counter) {
+/* ---- commands ------------------------------------------------------------------------------------ */
+
+/* A number in (0, 1]: a hash (lowbias32 of C. Wellons) of a counter that steps by 2^32 over the
+ * golden ratio. */
+static float uniform(uint32_t *counter) {
   *counter += UINT32_C(0x9E3779B9);
   uint32_t x = *counter;
   x = (x ^ (x >> 16)) * UINT32_C(0x7FEB352D);
   x = (x ^ (x >> 15)) * UINT32_C(0x846CA68B);
-  return x ^ (x >> 16);
+  return (float)((x ^ (x >> 16)) >> 8) * 0x1p-24F + 0x1p-24F;
 }
 
-/* A sum of 12 uniform numbers of 16 bits: normal, of mean 0 and standard deviation 2^16, within 6 of
- * those. No branch and no address depends on a number. Times a factor it is below 2^50. */
-static inline int64_t noise_of(uint32_t *counter, int32_t factor) {
-  int32_t sum = -6 * 0xFFFF;
-  for (uint32_t i = 0U; i < 6U; ++i) {
-    const uint32_t bits = next_bits(counter);
-    sum += (int32_t)(bits & UINT32_C(0xFFFF)) + (int32_t)(bits >> 16);
-  }
-  return qj_round_shift((int64_t)sum * factor, 16);
+/* Two normal numbers, by Box and Muller. */
+static void normal(uint32_t *counter, float pair[2]) {
+  const float radius = sqrtf(-2.0F * logf(uniform(counter)));
+  const float angle = 6.2831853071795865F * uniform(counter);
+  pair[0] = radius * cosf(angle);
+  pair[1] = radius * sinf(angle);
 }
 
-uint32_t qj_noise_digest(const int32_t *noise) {
-  uint32_t counter = 0U;
-  uint32_t digest = QJ_DIGEST_START;
-  for (uint32_t i = 0U; i < QJ_TEST_SAMPLES * QJ_COMMANDS; ++i) {
-    digest = qj_digest_long(digest, noise_of(&counter, noise[QJ_NOISE_FACTOR + i % QJ_COMMANDS]));
-  }
-  return digest;
+/* A sum of the output with noise in the unit of the command, or without. */
+static float sampled(const qj_policy *policy, uint32_t i, int64_t sum, float noise) {
+  const float unit = 1.0F / (float)(UINT32_C(1) << policy->fraction_bits);
+  const float low = (float)policy->low[i] * unit;
+  const float high = (float)policy->high[i] * unit;
+  const int64_t wide = sum >> policy->output_shift;
+  const int64_t held = limited(wide, policy->low[i], policy->high[i]);
+  const float mean = (float)((policy->noise_on_clamped != 0U) ? held : wide) * unit;
+  const float value = mean + noise;
+  return (value < low) ? low : ((value > high) ? high : value);
 }
 
-void qj_sample(const qj_policy *policy, const int32_t *q, uint32_t *counter,
-               int32_t command[QJ_COMMANDS]) {
-  int32_t buffer[2][QJ_MAX_WIDTH];
-  int64_t sums[ROWS_PER_BLOCK];
-  if (policy->noise == 0) {
-    qj_forward(policy, q, command, 0);
-    return;
-  }
-  for (uint32_t i = 0U; i < policy->layer[0].padded_columns; ++i) {
-    const int64_t input = (i < policy->inputs) ? q[i] : 0;
-    buffer[0][i] = (int32_t)qj_clamp(input, -QJ_INPUT_ONE, QJ_INPUT_ONE);
-  }
-  qj_run_layers(policy, policy->layer, policy->layers, buffer, sums, 0);
-  for (uint32_t i = 0U; i < QJ_COMMANDS; ++i) { /* a shift of at least 1: below 2^62 and 2^50 */
-    const int64_t noise = noise_of(counter, policy->noise[QJ_NOISE_FACTOR + i]);
-    const int64_t sum = sums[i] >> policy->output_shift;
-    const int64_t clamped = qj_clamp(sum, policy->low[i], policy->high[i]);
-    const int64_t mean = (policy->noise[QJ_NOISE_ON_CLAMPED] != 0) ? clamped : sum;
-    command[i] = (int32_t)qj_clamp(mean + noise, policy->low[i], policy->high[i]);
-  }
-}
-#endif
-
-void qj_commands(const qj_policy *policy, const int32_t q[QJ_COMMANDS],
-                 float command[QJ_COMMANDS]) {
+void qj_act(const qj_policy *policy, qj_kernel kernel, const int32_t *q, uint32_t *counter,
+            float command[QJ_COMMANDS]) {
   const uint32_t bits = policy->fraction_bits;
-  const float unit = 1.0F / (float)(UINT32_C(1) << bits); /* a power of two */
   const int64_t half = (bits > 0U) ? INT64_C(1) << (bits - 1U) : 0;
-  for (uint32_t i = 0U; i < QJ_COMMANDS; ++i) {
-    command[i] = (policy->kind == QJ_RPM) ? (float)(int32_t)((q[i] + half) >> bits) : (float)q[i] * unit;
+  const uint32_t is_sampled = ((counter != 0) && (policy->noise != 0)) ? 1U : 0U;
+  const uint32_t is_rpm = (policy->kind == QJ_RPM) ? 1U : 0U;
+  float noise[QJ_COMMANDS];
+  int64_t sums[ROWS_PER_BLOCK];
+  run(policy, kernel, q, sums, 0);
+  for (uint32_t i = 0U; (is_sampled != 0U) && (i < QJ_COMMANDS); i += 2U) {
+    normal(counter, noise + i);
   }
+  for (uint32_t i = 0U; i < QJ_COMMANDS; ++i) {
+    if (is_sampled != 0U) {
+      command[i] = sampled(policy, i, sums[i], noise[i] * policy->noise[i]);
+      command[i] = (is_rpm != 0U) ? floorf(command[i] + 0.5F) : command[i];
+    } else {
+      const int64_t held =
+          limited(sums[i] >> policy->output_shift, policy->low[i], policy->high[i]);
+      command[i] = (is_rpm != 0U) ? (float)(int32_t)((held + half) >> bits)
+                                  : (float)held / (float)(UINT32_C(1) << bits);
+    }
+  }
+}
+
+/* ---- the self-test ------------------------------------------------------------------------------- */
+
+static uint32_t digest_floats(uint32_t value, const float *x, uint32_t count) {
+  for (uint32_t i = 0U; i < count; ++i) {
+    union {
+      float value;
+      uint32_t bits;
+    } pun;
+    pun.value = x[i];
+    value = digest(value, pun.bits);
+  }
+  return value;
+}
+
+/* Of weights and biases, inputs, gates and their constants. */
+static uint32_t hash_of(const qj_policy *policy) {
+  uint32_t hash = DIGEST_START;
+  for (uint32_t i = 0U; i < policy->layers; ++i) {
+    const qj_layer *const layer = &policy->layer[i];
+    for (uint32_t k = 0U; k < layer->padded_rows * layer->padded_columns; ++k) {
+      hash = digest(hash, (uint32_t)layer->weights[k]);
+    }
+    for (uint32_t k = 0U; k < layer->padded_rows; ++k) {
+      hash = digest_long(hash, layer->bias[k]);
+    }
+  }
+  for (uint32_t i = 0U; i < policy->inputs; ++i) {
+    hash = digest_floats(hash, &policy->input[i].middle, 1U);
+    hash = digest_floats(hash, &policy->input[i].factor, 1U);
+    hash = digest_floats(hash, &policy->input[i].range, 1U);
+  }
+  for (uint32_t i = 0U; i < policy->gates; ++i) {
+    hash = digest_floats(hash, policy->gate[i].position, 3U);
+    for (uint32_t axis = 0U; axis < 3U; ++axis) {
+      hash = digest_floats(hash, policy->gate[i].axes[axis], 3U);
+    }
+    hash = digest_floats(hash, &policy->gate[i].yaw, 1U);
+    hash = digest_floats(hash, &policy->gate[i].cos_yaw, 1U);
+    hash = digest_floats(hash, &policy->gate[i].sin_yaw, 1U);
+    hash = digest_floats(hash, &policy->gate[i].half_width, 1U);
+    hash = digest_floats(hash, &policy->gate[i].half_height, 1U);
+  }
+  return digest_floats(hash, policy->gate_constant, policy->gates * policy->gate_constants);
+}
+
+uint32_t qj_self_test(const qj_policy *policy, qj_kernel kernel) {
+  uint32_t passed = (hash_of(policy) == policy->hash) ? 1U : 0U;
+  for (uint32_t i = 0U; i < policy->tests; ++i) {
+    const int32_t *const expected = policy->test_command + QJ_COMMANDS * i;
+    int32_t command[QJ_COMMANDS];
+    uint32_t trace;
+    qj_forward(policy, kernel, policy->test_input + policy->inputs * i, command, &trace);
+    passed &= (trace == policy->test_trace[i]) ? 1U : 0U;
+    for (uint32_t k = 0U; k < QJ_COMMANDS; ++k) {
+      passed &= (command[k] == expected[k]) ? 1U : 0U;
+    }
+  }
+  return passed;
 }

@@ -4,8 +4,6 @@
 #include "neural_network.h"
 #include "qj_pilot.h"
 
-#define NN_CALL_NS (1000000000U / NN_CONTROL_HZ)
-
 const float gate_pos[NUM_GATES][3] = QUADJAX_GATE_POSITIONS;
 const float gate_yaw[NUM_GATES] = QUADJAX_GATE_YAWS;
 const float start_pos[3] = QUADJAX_START_POSITION;
@@ -16,23 +14,18 @@ uint8_t target_gate_index = 0U;
 static const uint8_t motor_number[4] = {3, 1, 0, 2};
 
 static qj_pilot pilot;
-static const char *wrong = "not loaded";
 static uint32_t tried;
 static uint32_t now_us;
 
 const char *nn_load(void) {
-  static const qj_interface interface = {
-      QJ_GIVES(QJ_EULER) | QJ_GIVES(QJ_QUATERNION) | QJ_GIVES(QJ_ROTOR_SPEED), QJ_GIVES(QJ_MOTOR),
-      NN_CALL_NS};
-  wrong = qj_pilot_load(&pilot, QUADJAX_WORDS, sizeof(QUADJAX_WORDS), &interface);
   tried = 1U;
-  return wrong;
+  return qj_pilot_start(&pilot, &QUADJAX_POLICY, QJ_DEFAULT_KERNEL, (float)NN_CONTROL_HZ);
 }
 
 nn_counters_t nn_counters(void) {
   const qj_counters *const own = &pilot.counters;
-  const nn_counters_t counters = {own->steps,         own->nan_steps,    own->clipped_steps,
-                                  own->outside_steps, pilot.race.passed, pilot.race.missed};
+  const nn_counters_t counters = {own->steps, own->nan_steps, own->outside_steps,
+                                  pilot.race.passed, pilot.race.missed};
   return counters;
 }
 
@@ -45,26 +38,22 @@ void nn_reset(void) {
 }
 
 void nn_control(const float world_state[16], float motor_cmds[4]) {
-  qj_vehicle vehicle;
+  const float euler[3] = {world_state[6], world_state[7], world_state[8]};
   float commands[4];
   if (tried == 0U) {
     nn_reset();
   }
-  now_us += NN_CALL_NS / 1000U;
-  vehicle.time_us = now_us;
+  now_us += 1000000U / NN_CONTROL_HZ;
+  qj_vehicle vehicle = {.time_us = now_us, .position_us = now_us};
   for (uint32_t i = 0U; i < 3U; ++i) {
     vehicle.position[i] = world_state[i];
     vehicle.velocity[i] = world_state[3U + i];
-    vehicle.euler[i] = world_state[6U + i];
     vehicle.rates[i] = world_state[9U + i];
   }
   for (uint32_t i = 0U; i < 4U; ++i) {
     vehicle.rotor_speed[i] = world_state[12U + motor_number[i]];
-    vehicle.others_command[i] = 0.0F;
   }
-#if QUADJAX_OBSERVES_QUATERNION
-  qj_quaternion_of(vehicle.euler, vehicle.quaternion);
-#endif
+  qj_quaternion_of(euler, vehicle.quaternion);
   (void)qj_pilot_step(&pilot, now_us, &vehicle, commands);
   for (uint32_t i = 0U; i < 4U; ++i) {
     motor_cmds[motor_number[i]] = commands[i];
@@ -74,13 +63,11 @@ void nn_control(const float world_state[16], float motor_cmds[4]) {
 
 void nn_forward(const float *input, float *output) {
   int32_t q[QJ_MAX_WIDTH];
-  int32_t command[QJ_COMMANDS];
   for (uint32_t i = 0U; i < QJ_COMMANDS; ++i) {
     output[i] = 0.0F;
   }
-  if ((tried != 0U) && (wrong == 0)) {
-    (void)qj_quantize(&pilot.policy, input, q);
-    qj_forward(&pilot.policy, q, command, 0);
-    qj_commands(&pilot.policy, command, output);
+  if (pilot.policy != 0) {
+    (void)qj_quantize(pilot.policy, input, q);
+    qj_act(pilot.policy, pilot.kernel, q, 0, output);
   }
 }

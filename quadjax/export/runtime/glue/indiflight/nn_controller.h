@@ -28,16 +28,15 @@ extern uint8_t target_gate_index;          /* gate to pass next; written here on
 /* What was wrong with the inputs since start-up. */
 typedef struct {
   uint32_t steps;         /* of the policy */
-  uint32_t nan_steps;     /* in which a number was NaN; it is taken as zero */
-  uint32_t clipped_steps; /* in which a number was outside its range; it is taken as the edge */
-  uint32_t outside_steps; /* in which an input of the network was outside its range */
+  uint32_t nan_steps;     /* in which a number was not finite; it is taken as zero */
+  uint32_t outside_steps; /* in which an input of the network was outside its range: its edge */
   uint32_t gates_passed;  /* since nn_reset */
   uint32_t gates_missed;  /* since nn_reset: planes crossed beside the opening */
 } nn_counters_t;
 
-/* Loads the policy with its proof and self-tests; returns 0, or what is wrong. Call it at start-up and
- * refuse to arm unless it is 0. nn_reset and nn_control call it if nobody did, which takes as long as
- * about 100 inferences. If something is wrong all motor commands are 0. */
+/* Tests the policy; returns 0, or what is wrong. Call it at start-up and refuse to arm unless it is 0.
+ * nn_reset and nn_control call it if nobody did, which takes as long as about 20 inferences. If
+ * something is wrong all motor commands are 0. */
 const char *nn_load(void);
 
 /* On activation: the next call of nn_control starts a race towards gate 0. */

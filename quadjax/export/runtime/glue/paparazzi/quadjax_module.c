@@ -6,12 +6,18 @@
 
 #include "autopilot.h"
 #include "boards/bebop/actuators.h"
+#include "filters/low_pass_filter.h"
 #include "mcu_periph/sys_time.h"
 #include "modules/core/abi.h"
 #include "modules/datalink/telemetry.h"
+#include "modules/gps/gps.h"
 #include "modules/quadjax/qj_pilot.h"
 #include "modules/quadjax/quadjax_policy.h"
 #include "state.h"
+#if QUADJAX_COMMANDS_RATES
+#include "firmwares/rotorcraft/stabilization.h"
+#include "firmwares/rotorcraft/stabilization/stabilization_indi_simple.h"
+#endif
 #if defined(PREFLIGHT_CHECKS) && PREFLIGHT_CHECKS
 #include "modules/checks/preflight_checks.h"
 #endif
@@ -23,6 +29,18 @@
 #ifndef QUADJAX_MOTORS
 #define QUADJAX_MOTORS {0, 1, 2, 3}
 #endif
+/* Time of the position, on the clock of get_sys_time_usec(): of the last message of motion capture. */
+#ifndef QUADJAX_POSITION_US
+#define QUADJAX_POSITION_US \
+  (gps.last_msg_time * 1000000U + usec_of_cpu_ticks(gps.last_msg_ticks))
+#endif
+/* Autopilot units of thrust for 1 m/s^2 more of specific force; cut-off of the filters, Hz. */
+#ifndef QUADJAX_THRUST_GAIN
+#define QUADJAX_THRUST_GAIN 500.0F
+#endif
+#ifndef QUADJAX_CUTOFF
+#define QUADJAX_CUTOFF 8.0F
+#endif
 
 uint8_t quadjax_module_enable = 1;
 
@@ -31,13 +49,16 @@ static qj_pilot pilot;
 static const char *wrong = "not loaded";
 static bool flying;
 static float commands[4];
+static Butterworth2LowPass felt_thrust; /* of the accelerometer along body -z, m/s^2 */
+#if QUADJAX_COMMANDS_RATES
+static Butterworth2LowPass given_thrust; /* of the thrust command, autopilot units */
+#endif
 
 /* ---- what the autopilot knows ------------------------------------------------------------------ */
 
 static void read_vehicle(qj_vehicle *vehicle) {
   const struct NedCoor_f *const position = stateGetPositionNed_f();
   const struct NedCoor_f *const velocity = stateGetSpeedNed_f();
-  const struct FloatEulers *const euler = stateGetNedToBodyEulers_f();
   const struct FloatQuat *const quaternion = stateGetNedToBodyQuat_f();
   const struct FloatRates *const rates = stateGetBodyRates_f();
   const struct Int32Vect3 *const acceleration = stateGetAccelBody_i();
@@ -46,22 +67,21 @@ static void read_vehicle(qj_vehicle *vehicle) {
   float_rmat_vmult(&body_velocity, stateGetNedToBodyRMat_f(), &world_velocity);
   const qj_vehicle found = {
       .time_us = get_sys_time_usec(),
+      .position_us = QUADJAX_POSITION_US,
       .position = {position->x, position->y, position->z},
       .velocity = {velocity->x, velocity->y, velocity->z},
-      .euler = {euler->phi, euler->theta, euler->psi},
       .quaternion = {quaternion->qi, quaternion->qx, quaternion->qy, quaternion->qz},
       .rates = {rates->p, rates->q, rates->r},
-      .gyro = {rates->p, rates->q, rates->r},
-      /* Of the accelerometer less its bias; specific thrust is what it feels along body -z. */
+      .thrust = update_butterworth_2_low_pass(&felt_thrust, -ACCEL_FLOAT_OF_BFP(acceleration->z)),
+      /* Of the accelerometer less its bias. */
       .specific_force = {ACCEL_FLOAT_OF_BFP(acceleration->x), ACCEL_FLOAT_OF_BFP(acceleration->y),
                          ACCEL_FLOAT_OF_BFP(acceleration->z)},
-      .thrust = {-ACCEL_FLOAT_OF_BFP(acceleration->z)},
       .body_velocity = {body_velocity.x, body_velocity.y, body_velocity.z},
   };
   *vehicle = found;
   for (uint32_t i = 0U; i < 4U; ++i) {
-    vehicle->rotor_rpm[i] = (float)actuators_bebop.rpm_obs[motor[i]];
-    vehicle->others_command[i] = (float)actuators_bebop.rpm_ref[motor[i]];
+    vehicle->rotor_speed[i] = (float)actuators_bebop.rpm_obs[motor[i]] / QJ_RPM_PER_RAD_S;
+    vehicle->autopilot_command[i] = (float)actuators_bebop.rpm_ref[motor[i]];
   }
 }
 
@@ -70,14 +90,13 @@ static void read_vehicle(qj_vehicle *vehicle) {
 #if defined(PERIODIC_TELEMETRY) && PERIODIC_TELEMETRY
 static void send_status(struct transport_tx *trans, struct link_device *dev) {
   const qj_counters *const counters = &pilot.counters;
-  float values[] = {(wrong != 0) ? 1.0f : 0.0f,         flying ? 1.0f : 0.0f,
-                    (float)pilot.policy.kernel,         (float)pilot.race.target,
-                    (float)pilot.race.passed,           (float)pilot.race.missed,
-                    (float)counters->steps,             (float)counters->clipped_steps,
-                    (float)counters->nan_steps,         (float)counters->outside_steps,
-                    (float)pilot.last.clipped,          (float)pilot.last.nan,
-                    (float)pilot.last.outside,          (float)counters->estimator_calls,
-                    pilot.highest_rpm[0]};
+  float values[] = {(wrong != 0) ? 1.0f : 0.0f,       flying ? 1.0f : 0.0f,
+                    (float)pilot.kernel,              (float)pilot.race.target,
+                    (float)pilot.race.passed,         (float)pilot.race.missed,
+                    (float)counters->steps,           (float)counters->nan_steps,
+                    (float)counters->outside_steps,   (float)counters->late_calls,
+                    (float)pilot.last.nan,            (float)pilot.last.outside,
+                    pilot.state.highest_rpm};
   pprz_msg_send_PAYLOAD_FLOAT(trans, dev, AC_ID, (uint8_t)(sizeof(values) / sizeof(values[0])),
                               values);
 }
@@ -90,7 +109,7 @@ static void check_policy(struct preflight_result_t *result) {
   if (wrong != 0) {
     preflight_error(result, "quadjax: %s", wrong);
   } else {
-    preflight_success(result, "quadjax: policy loaded, self-tests passed");
+    preflight_success(result, "quadjax: self-tests passed");
   }
 }
 #endif
@@ -98,20 +117,17 @@ static void check_policy(struct preflight_result_t *result) {
 /* ---- the module --------------------------------------------------------------------------------- */
 
 void quadjax_module_init(void) {
-  const qj_interface interface = {
-      QJ_GIVES(QJ_EULER) | QJ_GIVES(QJ_QUATERNION) | QJ_GIVES(QJ_ROTOR_RPM) | QJ_GIVES(QJ_THRUST) |
-          QJ_GIVES_SENSORS,
-      QJ_GIVES(QJ_RPM) | QJ_GIVES(QJ_RATES_THRUST), 1000000000U / QUADJAX_FREQUENCY};
-  flying = false;
-  wrong = qj_pilot_load(&pilot, QUADJAX_WORDS, sizeof(QUADJAX_WORDS), &interface);
+  qj_kernel kernel = QJ_DEFAULT_KERNEL;
 #if QJ_HAS_NEON
-  /* Whether the processor has it; the self-tests again with the kernel that flies. */
-  pilot.policy.kernel = (getauxval(AT_HWCAP) & HWCAP_NEON) ? QJ_NEON : QJ_SCALAR;
-  if ((wrong == 0) && (qj_self_test(&pilot.policy) != 0U)) {
-    wrong = qj_error_name(QJ_BAD_SELF_TEST);
-  }
-  qj_pilot_reset(&pilot);
+  kernel = (getauxval(AT_HWCAP) & HWCAP_NEON) ? QJ_NEON : QJ_SCALAR;
 #endif
+  const float tau = 1.0F / (6.2831853F * QUADJAX_CUTOFF);
+  init_butterworth_2_low_pass(&felt_thrust, tau, 1.0F / QUADJAX_FREQUENCY, 9.81F);
+#if QUADJAX_COMMANDS_RATES
+  init_butterworth_2_low_pass(&given_thrust, tau, 1.0F / QUADJAX_FREQUENCY, 0.0F);
+#endif
+  flying = false;
+  wrong = qj_pilot_start(&pilot, &QUADJAX_POLICY, kernel, QUADJAX_FREQUENCY);
 #if defined(PREFLIGHT_CHECKS) && PREFLIGHT_CHECKS
   preflight_check_register(&policy_check, check_policy);
 #endif
@@ -132,6 +148,9 @@ void quadjax_module_periodic(void) {
     return;
   }
   read_vehicle(&vehicle);
+#if QUADJAX_COMMANDS_RATES
+  (void)update_butterworth_2_low_pass(&given_thrust, (float)stabilization_cmd[COMMAND_THRUST]);
+#endif
   if (wanted) {
     flying = (qj_pilot_step(&pilot, vehicle.time_us, &vehicle, commands) != QJ_LOST);
   } else {
@@ -140,9 +159,25 @@ void quadjax_module_periodic(void) {
   }
 }
 
-bool quadjax_module_command(float command[4]) {
+#if QUADJAX_COMMANDS_RATES
+bool quadjax_module_inner_loop(bool in_flight) {
+  if (!flying) {
+    return false;
+  }
+  /* What is missing of the commanded specific force is added to the filtered thrust command. */
+  const float more = QUADJAX_THRUST_GAIN * (commands[3] - felt_thrust.o[0]);
+  const float thrust = given_thrust.o[0] + more;
+  const struct FloatRates rates = {commands[0], commands[1], commands[2]};
+  stabilization_cmd[COMMAND_THRUST] =
+      (int32_t)((thrust < 0.0F) ? 0.0F : ((thrust > MAX_PPRZ) ? MAX_PPRZ : thrust));
+  stabilization_indi_rate_run(rates, in_flight);
+  return true;
+}
+#else
+bool quadjax_module_rpm(uint16_t rpm[4]) {
   for (uint32_t i = 0U; flying && (i < 4U); ++i) {
-    command[(pilot.policy.kind == QJ_RPM) ? motor[i] : i] = commands[i];
+    rpm[motor[i]] = (uint16_t)commands[i];
   }
   return flying;
 }
+#endif

@@ -18,9 +18,12 @@ void quadjax_module_periodic(void); /* at QUADJAX_FREQUENCY of quadjax_policy.h 
 /* What is wrong with the policy, or 0. The module neither flies nor lets anybody arm unless it is 0. */
 const char *quadjax_module_wrong(void);
 
-/* Whether the policy flies now; and its commands: rpm in the order of the board's motors, or p, q, r in
- * rad/s and specific thrust in m/s^2. Call it at the top of actuators_bebop_commit() and copy rpm to
- * actuators_bebop.rpm_ref, or give rates and thrust to the inner loop in place of the stick's. */
-bool quadjax_module_command(float command[4]);
+/* For a policy that commands the motors. Whether it flies now; then its commands, rpm in the order of
+ * the board's motors. Call it at the top of actuators_bebop_commit(). */
+bool quadjax_module_rpm(uint16_t rpm[4]);
+
+/* For a policy that commands rates and thrust. Whether it flies now; then the inner loop (INDI) has
+ * run with its commands. Call it in place of the loop that follows the stick. */
+bool quadjax_module_inner_loop(bool in_flight);
 
 #endif /* QUADJAX_MODULE_H */

@@ -8,8 +8,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.export.verify.result import Failed, Skipped
-
 WARNINGS = (
     "-Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wcast-align -Werror "
     # Paparazzi's own set, and a little more
@@ -17,6 +15,14 @@ WARNINGS = (
     "-Wstrict-prototypes -Wnested-externs -Wredundant-decls -Wswitch-default -Wundef "
     "-Wwrite-strings -Wformat-security -Wvla -Wdouble-promotion -Wfloat-equal"
 ).split()
+
+
+class Skipped(Exception):
+    """A check that cannot run on this machine; the message gives the reason."""
+
+
+class Failed(Exception):
+    """A check that failed; the message gives the reason."""
 
 
 @dataclasses.dataclass(frozen=True)

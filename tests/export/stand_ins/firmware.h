@@ -1,6 +1,5 @@
-/* The firmware around an exported policy, for the software in the loop and the verification. Each
- * stand-in has what the glue of its autopilot uses of the firmware, and calls the glue. pilot.c is
- * firmware that calls the pilot itself. Not for flight. */
+/* Stand-ins for the firmware around the glue of an autopilot. Each has what the glue uses of the
+ * firmware, as this project understands it, and calls the glue: no glue was built in its real firmware. */
 #ifndef FIRMWARE_H
 #define FIRMWARE_H
 
@@ -11,8 +10,8 @@ const char *firmware_start(void);
 
 /* One call of the glue. vehicle: the newest state, of which the glue reads what the autopilot
  * measures; 0: it is lost. flies: whether the mode of the policy is on. command: to the motors in the
- * order of the policy, or rates and thrust; zeros if the policy commands nothing.
- * Returns whether the autopilot allows arming. */
+ * order of the policy; or rates, and thrust of the inner loop in autopilot units; zeros if the policy
+ * commands nothing. Returns whether the autopilot allows arming. */
 uint32_t firmware_call(uint32_t now_us, const qj_vehicle *vehicle, uint32_t flies,
                        float command[QJ_COMMANDS]);
 

@@ -1,12 +1,12 @@
-"""The drones that exported C can fly: a plant, or the simulator of the race.
+"""The drones that software in the loop can fly: a plant, or the simulator of the race.
 
-A world is pure functions of a state: its start, and a control step under a command that is held.
+A drone is pure functions of a state: its start, and a control step under a command that is held.
 Both also give what the autopilot observes, and the true motion for the record.
 """
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -14,49 +14,47 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core import quaternion
-from quadjax.core.vectors import Rotors, Vec3
-from quadjax.export.verify.build import VEHICLE
+from quadjax.core.quaternion import Quaternion
+from quadjax.core.vectors import Rotors
+from quadjax.export.library import VEHICLE
+from quadjax.export.observation import RPM_PER_RAD_S
 from quadjax.plant import flight, plant
 from quadjax.plant.flight import Drones, Plan
 from quadjax.policy.pilot import command_ranges
 from quadjax.race import laps
 from quadjax.race.environment import Race, without_training_limits
 from quadjax.race.laps import Laps, LapState
-from quadjax.race.memory import DISTURBANCE
 from quadjax.race.types import RaceParams
-from quadjax.sil.faults import RPM_PER_RAD_S
 from quadjax.vehicle.constants import values_of
-from quadjax.vehicle.protocol import Measurement, VehicleModel
+from quadjax.vehicle.protocol import State, VehicleModel
 
-SET_BY_C = ("time_us", "rpm", "others_command")  # of ``VEHICLE``, in sil.c
-MEASURED = [name for name in VEHICLE.names or () if name not in SET_BY_C]
-Seen = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # what ``Now`` has after the state
-Motion = tuple[Vec3, Vec3, Vec3, Vec3]  # position, velocity, Euler angles, rates
+# A drone between two control steps, as arrays: "vehicle", by the fields of ``VEHICLE``; "true", the
+# motion and the actuators; "target" and "over".
+Seen = dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
-class Now:
+class DroneState:
     """A drone between two control steps."""
 
-    state: Any  # pytree of the world
-    numbers: np.ndarray  # (n,) float32 of ``MEASURED``
-    target: np.ndarray | int  # () int32
-    true: np.ndarray  # (12 + actuators,): position, velocity, Euler angles, rates, actuators
-    over: np.ndarray | bool  # ()
+    state: Any  # pytree of the drone
+    vehicle: np.ndarray  # () of ``VEHICLE``: what the autopilot observes; without times
+    true: Mapping[str, np.ndarray]  # position, velocity, attitude, rates, actuators
+    target: int
+    over: bool
 
-    @property
-    def vehicle(self) -> np.ndarray:
-        """What the autopilot observes, a ``VEHICLE`` ()."""
-        vehicle, start = np.zeros((), VEHICLE), 0
-        for name in MEASURED:
-            size = vehicle[name].size
-            vehicle[name] = self.numbers[start : start + size].reshape(vehicle[name].shape)
-            start += size
-        return vehicle
+    @classmethod
+    def of(cls, state: Any, seen: Seen) -> "DroneState":
+        """The state of a drone of what its program returned."""
+        seen = jax.device_get(seen)
+        vehicle = np.zeros((), VEHICLE)
+        for name, value in seen["vehicle"].items():
+            vehicle[name] = value
+        return cls(state, vehicle, seen["true"], int(seen["target"]), bool(seen["over"]))
 
 
 @dataclasses.dataclass(frozen=True)
-class World:
+class SimulatedDrone:
     """A simulated drone in a race."""
 
     name: str  # for the result
@@ -64,10 +62,10 @@ class World:
     params: RaceParams  # of the race
     step: float  # of the control loop, s
     limit: int  # control steps, after which a race is out of time
-    begin: Callable[[int], Now]  # a race before its first step, of a seed
+    begin: Callable[[int], DroneState]  # a race before its first step, of a seed
     # one control step later under a command (4,), in the model's units
-    advance: Callable[[Now, np.ndarray], Now]
-    result: Callable[[Now], Laps]  # the laps of the race so far
+    advance: Callable[[DroneState, np.ndarray], DroneState]
+    result: Callable[[DroneState], Laps]  # the laps of the race so far
 
     @property
     def model(self) -> VehicleModel:
@@ -83,55 +81,40 @@ class World:
         return command_ranges(self.environment, self.params)
 
 
-def _seen(
-    target: jax.Array,
-    over: jax.Array,
-    motion: Motion,
-    measured: Measurement,
-    rotors: Rotors,
-    thrust: jax.Array,
-    disturbance: tuple[Vec3, Vec3],
-    true: Any,
-) -> Seen:
-    """Numbers of a state from the estimated motion, and the true motion with the actuators."""
-    position, velocity, euler, rates = motion
-    parts = (
-        *(position, velocity, euler, quaternion.of_euler(euler), rates, rotors, thrust),
-        *(*disturbance, measured.gyro, measured.specific_force, measured.body_velocity),
-    )
-    numbers = jnp.stack([jnp.asarray(x, jnp.float32) for x in jax.tree.leaves(parts)])
-    return numbers, target, jnp.stack(jax.tree.leaves(true)), over
-
-
-def _scaled(rotors: Rotors, factor: float) -> Rotors:
-    return jax.tree.map(lambda x: x * jnp.float32(factor), rotors)
+def _arrays(values: Mapping[str, Any]) -> dict[str, jax.Array]:
+    """Vectors and scalars as arrays."""
+    return {
+        name: jnp.stack([jnp.asarray(x, jnp.float32) for x in leaves]) if len(leaves) > 1
+        else jnp.asarray(leaves[0], jnp.float32)
+        for name, leaves in ((name, jax.tree.leaves(value)) for name, value in values.items())
+    }  # fmt: skip
 
 
 # ---- plant ---------------------------------------------------------------------------------------
 
 
-def plant_world(plan: Plan, name: str) -> World:
+def plant_drone(plan: Plan, name: str) -> SimulatedDrone:
     """The plant of a plan, by its name, with its sensors and estimators.
 
     A race begins at hover at the last gate, with drawn battery, gusts and sensors.
     """
 
-    def begin(seed: int) -> Now:
+    def begin(seed: int) -> DroneState:
         start, key = jax.random.split(jax.random.key(seed))
         state, seen = _begin_on_plant(plan, start)
-        return Now((state, key), *jax.device_get(seen))
+        return DroneState.of((state, key), seen)
 
-    def advance(now: Now, command: np.ndarray) -> Now:
+    def advance(now: DroneState, command: np.ndarray) -> DroneState:
         state, key = now.state
         state, key, seen = _advance_plant(plan, state, command, key)
-        return Now((state, key), *jax.device_get(seen))
+        return DroneState.of((state, key), seen)
 
-    def result(now: Now) -> Laps:
+    def result(now: DroneState) -> Laps:
         step, limit = float(plan.plant.step), plan.limit * plan.step
         return laps.laps_of(plan.environment, now.state[0].race, step, limit)
 
     numbers = (plan.environment, plan.race, plan.step, plan.limit)
-    return World(f"plant {name}", *numbers, begin, advance, result)
+    return SimulatedDrone(f"plant {name}", *numbers, begin, advance, result)
 
 
 @jax.jit
@@ -157,21 +140,32 @@ def _see_plant(plan: Plan, drones: Drones) -> Seen:
     now, measured = onboard.estimate.motion, onboard.estimate.measurement
     rate_level = plan.environment.model.name == "rate"
     force = plant.truth_of(plan.plant, one.plant).specific_force
-    actuators = -force.z if rate_level else body.actuators
-    return _seen(
-        *(one.race.state.target, one.race.over),
-        *((now.position, now.velocity, now.euler, now.rates), measured),
-        _scaled(measured.actuators, 1.0 / RPM_PER_RAD_S),
-        onboard.inner.thrust if rate_level else jnp.zeros(()),
-        (now.moment_ext, now.force_ext),
-        (body.position, body.velocity, body.euler, body.rates, actuators),
-    )
+    vehicle = {
+        "position": now.position,
+        "velocity": now.velocity,
+        "quaternion": quaternion.of_euler(now.euler),
+        "rates": now.rates,
+        "rotor_speed": measured.actuators.array() / RPM_PER_RAD_S,
+        "thrust": onboard.inner.thrust if rate_level else -measured.specific_force.z,
+        "specific_force": measured.specific_force,
+        "body_velocity": measured.body_velocity,
+    }
+    actuators = (-force.z,) if rate_level else body.actuators
+    return _seen(vehicle, body, actuators, one.race.state.target, one.race.over)
+
+
+def _seen(
+    vehicle: Mapping[str, Any], body: State, actuators: Any, target: jax.Array, over: jax.Array
+) -> Seen:
+    true = {"position": body.position, "velocity": body.velocity, "attitude": body.euler}
+    true |= {"rates": body.rates, "actuators": actuators}
+    return {"vehicle": _arrays(vehicle), "true": _arrays(true), "target": target, "over": over}
 
 
 # ---- simulator -----------------------------------------------------------------------------------
 
 
-def simulator_world(environment: Race, params: RaceParams, lap_count: int) -> World:
+def simulator_drone(environment: Race, params: RaceParams, lap_count: int) -> SimulatedDrone:
     """The simulator of a race, by the exact rules of timed laps; the state is known exactly.
 
     A race begins at hover before the first gate, with drawn disturbances.
@@ -180,21 +174,21 @@ def simulator_world(environment: Race, params: RaceParams, lap_count: int) -> Wo
     low, high = (np.float32(end) for end in command_ranges(environment, params))
     step = float(params.rules.time_step)
 
-    def begin(seed: int) -> Now:
+    def begin(seed: int) -> DroneState:
         key = jax.random.key(seed)
         state, seen = _begin_in_simulator(environment, lap_count, params, key)
-        return Now(state, *jax.device_get(seen))
+        return DroneState.of(state, seen)
 
-    def advance(now: Now, command: np.ndarray) -> Now:
+    def advance(now: DroneState, command: np.ndarray) -> DroneState:
         action = 2.0 * (command - low) / (high - low) - np.float32(1.0)
         state, seen = _advance_simulator(environment, params, now.state, action)
-        return Now(state, *jax.device_get(seen))
+        return DroneState.of(state, seen)
 
-    def result(now: Now) -> Laps:
+    def result(now: DroneState) -> Laps:
         return laps.laps_of(environment, now.state, step, laps.time_limit(params.track, lap_count))
 
     limit = laps.step_limit(params, lap_count)
-    return World("simulator", environment, params, step, limit, begin, advance, result)
+    return SimulatedDrone("simulator", environment, params, step, limit, begin, advance, result)
 
 
 @functools.partial(jax.jit, static_argnames=("environment", "lap_count"))
@@ -217,17 +211,21 @@ def _advance_simulator(
 
 def _see_simulator(environment: Race, params: RaceParams, race: LapState) -> Seen:
     one, model = jax.tree.map(lambda x: x[..., 0], race), environment.model
-    drone, zero = one.state.drone, jnp.zeros(())
-    disturbance = drone.disturbance if model.disturbed else (Vec3.zero(), Vec3.zero())
-    if (estimate := one.state.memories.get(DISTURBANCE)) is not None:
-        disturbance = estimate.moment, estimate.force
-    actuators, has_rotors = drone.actuators, model.actuators.size == 4
-    unit = 1.0 / RPM_PER_RAD_S if model.actuators.unit == "rpm" else 1.0
-    motion = (drone.position, drone.velocity, drone.euler, drone.rates)
-    return _seen(
-        *(one.state.target, one.over),
-        *(motion, model.measure(params.vehicle, drone)),
-        _scaled(actuators, unit) if has_rotors else Rotors.same(zero),
-        zero if has_rotors else actuators,
-        *(disturbance, (motion, actuators)),
-    )
+    drone, has_rotors = one.state.drone, environment.model.actuators.size == 4
+    measured = model.measure(params.vehicle, drone)
+    attitude = drone.attitude
+    unit = RPM_PER_RAD_S if model.actuators.unit == "rpm" else 1.0
+    zero = Rotors.same(jnp.zeros(()))
+    vehicle = {
+        "position": drone.position,
+        "velocity": drone.velocity,
+        "quaternion": attitude
+        if isinstance(attitude, Quaternion)
+        else quaternion.of_euler(attitude),
+        "rates": drone.rates,
+        "rotor_speed": (drone.actuators if has_rotors else zero).array() / unit,
+        "thrust": -measured.specific_force.z if has_rotors else drone.actuators,
+        "specific_force": measured.specific_force,
+        "body_velocity": measured.body_velocity,
+    }
+    return _seen(vehicle, drone, drone.actuators, one.state.target, one.over)

@@ -1,1 +1,0 @@
-"""Verification of an exported folder: build and run it with the tools of this machine."""
