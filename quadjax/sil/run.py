@@ -40,10 +40,10 @@ STATES_FILE = "states.npz"
 FILES = (STATES_FILE, "sil.json", "table.txt", "flight.html")
 SAME_LOOP = 0.03  # largest relative difference of the loop rates of plant and autopilot
 MEANINGS = {  # of counts
-    "steps without a state": "the pilot had no state for 0.1 s: its commands were 0",
-    "autopilot: nan steps": "a number of the state was not finite: the C takes zero",
-    "autopilot: outside steps": "an input of the network was outside its range: the C clips it",
-    "autopilot: late calls": "no new state: the pilot held its commands",
+    "autopilot: late calls": "calls without a new state (held)",
+    "steps without a state": "steps with none for 0.1 s (commands 0)",
+    "autopilot: nan steps": "steps with a number that is not finite (taken as 0)",
+    "autopilot: outside steps": "with an input outside its range (clipped)",
 }
 
 
@@ -92,10 +92,11 @@ class Flown:
             lap_table([Row(label, self.laps)]).format(),
             f"flies: {self.sources}; drone: {self.drone}, {steps:,} steps",
         ]
-        if states := [f"{n:,} {k[7:]}" for k, n in counts.items() if k.startswith("states ")]:
-            lines.append(f"states: {', '.join(states)}")
-        lines += [f"{k}: {counts[k]:,} ({text})" for k, text in MEANINGS.items() if k in counts]
-        return "\n".join(lines)
+        states = [f"{n:,} {key[7:]}" for key, n in counts.items() if key.startswith("states ")]
+        pilot = [f"{counts[key]:,} {text}" for key, text in MEANINGS.items() if key in counts]
+        parts = [f"states: {', '.join(states)}"] * bool(states)
+        lines += ["; ".join(parts + [f"pilot: {', '.join(pilot)}"] * bool(pilot))]
+        return "\n".join(line for line in lines if line)
 
     def to_json(self) -> dict[str, Any]:
         """Laps as of ``quadjax evaluate``, counts, and provenance."""
