@@ -84,7 +84,7 @@ def test_a_race_has_the_bits_of_the_c_called_by_hand(where, tmp_path, short_race
     assert set(race.counts) <= {"steps", "autopilot: outside steps"} and len(rows) > 20
     assert "its own estimators" in flown.autopilot
     assert ("100 Hz" in flown.drone) == (plant is None)
-    assert len(flown.text().splitlines()) <= 6
+    assert len(flown.text().splitlines()) <= 7
     flown.write(tmp_path / "out")
     (flight,) = load(tmp_path / "out" / "states.npz")
     np.testing.assert_array_equal(flight["position"], race.flight["position"])
