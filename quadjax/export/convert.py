@@ -48,6 +48,7 @@ class Export:
     folder: Path
     converted: Converted
     report: Json  # as in the folder's ``NAME_report.json``
+    observations: np.ndarray  # (n, inputs) float32 of the policy's own simulated flights
 
     def __repr__(self) -> str:
         """One line: the name of the files and their folder."""
@@ -145,8 +146,9 @@ def export_c(
             flights.check_finished(rollouts.laps, converted.race, converted.file)
         converted.in_c.network.box.check(rollouts.observations)
         source = provenance(converted.race.config, path, SEED)
-        report = make_report(converted, rollouts.thinned()) | {"provenance": source}
-        export = Export(folder, converted, report)
+        rollouts = rollouts.thinned()
+        report = make_report(converted, rollouts) | {"provenance": source}
+        export = Export(folder, converted, report, rollouts.observations)
         with writing(folder), replacement(folder, _optional(symbol)) as new:
             _write(export, new, path)
         _remove_empty(folder)
