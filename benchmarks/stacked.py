@@ -88,7 +88,7 @@ def train(configs: Configs, made: Made, folders: Sequence[Path], limit: float) -
     states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *begun)
     updates = functools.partial(repeat, count=plan.updates_per_chunk)
     many = jax.jit(jax.vmap(updates, (axes, 0)), donate_argnums=1)
-    small = dataclasses.replace(begun[0], environment=None, optimizer=(), target=None, ema=None)
+    small = dataclasses.replace(begun[0], env_states=None, optimizer=(), target=None, ema=None)
     files, score = [MetricsFile(folder, 0, False) for folder in folders], scorer(first, params)
     for chunk in train_chunks(functools.partial(many, stacked), states, plan):
         seconds, scores = time.monotonic() - start, score(chunk.state.evaluated)

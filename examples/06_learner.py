@@ -16,29 +16,31 @@ class Evolution(quadjax.Learner):
     steps_per_update = property(lambda self: self.num_envs * self.horizon)
 
     def init(self, task, key):
-        w = task.network.init(key, jnp.zeros(task.environment.observation_size))["params"]
+        w = task.network.init(key, jnp.zeros(task.environments.observation_size))["params"]
         return quadjax.TrainState(w, optax.adam(1.0).init(w), None, (), key, jnp.int32(0))
 
     def update(self, task, state):
         def step(carry, _):  # of all environments, each until it crashes
             states, alive = carry
-            seen = task.environment.observe(task.env_params, states)
+            seen = task.environments.observe(task.env_params, states)
             action = jax.vmap(lambda w, x: task.network.apply({"params": w}, x)[0])(weights, seen)
-            states, reward, ended, _ = task.environment.step(task.env_params, states, action)
+            states, reward, ended, _ = task.environments.step(task.env_params, states, action)
             return (states, alive & ~ended), jnp.where(alive, reward, 0.0)
 
         key, noise_key, start_key = jax.random.split(state.key, 3)
         flat, unflatten = ravel_pytree(state.params)
         draws = jax.random.normal(noise_key, (self.num_envs, flat.size))
         weights = jax.vmap(unflatten)(flat + self.noise * draws)
-        starts = task.environment.reset(task.env_params, jax.random.split(start_key, self.num_envs))
+        starts = task.environments.reset(
+            task.env_params, jax.random.split(start_key, self.num_envs)
+        )
         alive = jnp.ones(self.num_envs, bool)
         reward = jax.lax.scan(step, (starts, alive), None, self.horizon)[1].mean(axis=0)
         score = (reward - reward.mean()) / (reward.std() + 1e-8)
         slope = unflatten(-(score @ draws) / self.num_envs)
         change, optimizer = optax.adam(self.learning_rate).update(slope, state.optimizer)
         w = optax.apply_updates(state.params, change)
-        return state.following((), key, params=w, optimizer=optimizer), {"reward": reward.mean()}
+        return state.next_state((), key, params=w, optimizer=optimizer), {"reward": reward.mean()}
 
 
 def main():

@@ -107,11 +107,11 @@ class Vectorized(Environment[Params, State]):
         """The next states, rewards (n,) and flags (n,), of actions (n, action_size)."""
 
         def checked(params: Params, state: State, action: jax.Array) -> tuple:
-            following, reward, terminated, truncated = self.one.step(params, state, action)
+            next_state, reward, terminated, truncated = self.one.step(params, state, action)
             check_traced("the environment's reward", reward, ())
             check_traced("terminated of the environment's step", terminated, (), bool)
             check_traced("truncated of the environment's step", truncated, (), bool)
-            return following, reward, terminated, truncated
+            return next_state, reward, terminated, truncated
 
         batched = jax.vmap(checked, in_axes=(None, -1, 0), out_axes=(-1, 0, 0, 0))
         return batched(params, state, action)
@@ -125,6 +125,6 @@ class Vectorized(Environment[Params, State]):
         return self.one.describe_dependents(params, key)
 
 
-def where_done(done: jax.Array, fresh: State, state: State) -> State:
-    """``fresh`` where an episode is done, else ``state``; both batched along the last axis."""
-    return jax.tree.map(lambda new, old: jnp.where(done, new, old), fresh, state)
+def where_done(done: jax.Array, reset_states: State, states: State) -> State:
+    """``reset_states`` where an episode is done, else ``states``; batched along the last axis."""
+    return jax.tree.map(lambda new, old: jnp.where(done, new, old), reset_states, states)

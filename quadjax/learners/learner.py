@@ -107,7 +107,7 @@ class Learner(Section):
     them. All others fix shapes or code, and so does None. ``replace`` validates, which is for
     numbers: in an update, use ``quadjax.core.traced.with_leaves``.
 
-    Both methods are pure functions of whole arrays. On several devices, ``TrainState.environment``
+    Both methods are pure functions of whole arrays. On several devices, ``TrainState.env_states``
     is split along its last axis, and the compiler divides the work that depends on it.
     """
 

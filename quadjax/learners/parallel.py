@@ -84,8 +84,8 @@ def choose_mesh(wanted: str | int, state: TrainState) -> Mesh:
     Raises:
         InputError: as ``choose_devices``, or the devices have too little memory for the state.
     """
-    environments = jax.tree.leaves(state.environment)
-    num_envs = int(environments[0].shape[-1]) if environments else 0
+    env_states = jax.tree.leaves(state.env_states)
+    num_envs = int(env_states[0].shape[-1]) if env_states else 0
     mesh = make_mesh(choose_devices(wanted, num_envs))
     size = sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(state))
     check_memory(size / mesh.size, mesh)
@@ -100,7 +100,7 @@ def split_last(tree: Any) -> Any:
 def _shardings(state: TrainState, mesh: Mesh) -> TrainState:
     """How each leaf is laid out: environments are split by their last axis, all else is shared."""
     shared = jax.tree.map(lambda _: SHARED, state)
-    specs = shared.replace(environment=split_last(state.environment))
+    specs = shared.replace(env_states=split_last(state.env_states))
     return jax.tree.map(lambda spec: NamedSharding(mesh, spec), specs)
 
 

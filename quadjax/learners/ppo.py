@@ -31,7 +31,7 @@ from quadjax.learners.learner import (
 )
 from quadjax.learners.networks import ActorCritic, mean_action, predict_value
 from quadjax.learners.rollout import (
-    Steps,
+    Trajectory,
     clip,
     descend,
     draw,
@@ -123,21 +123,21 @@ class PPO(Learner):
     def update(self, task: Task, state: TrainState) -> tuple[TrainState, Metrics]:
         """Simulate, and learn from the steps in several epochs of minibatches."""
         key, rollout_key, shuffle_key = jax.random.split(state.key, 3)
-        environment_state, (steps, log_prob) = self.collect(task, state, rollout_key)
+        env_states, (trajectory, log_prob) = self.collect(task, state, rollout_key)
         # One time step after another: hidden layers of all steps at once would need much memory.
         values = jax.lax.map(
-            lambda x: predict_value(task.network, state.params, x), steps.observation
+            lambda x: predict_value(task.network, state.params, x), trajectory.observation
         )
-        target = td_lambda(steps, self.discount, self.gae_lambda, self.reward_scale)
-        batch = Batch(steps.observation, steps.action, log_prob, target - values, target)
+        target = td_lambda(trajectory, self.discount, self.gae_lambda, self.reward_scale)
+        batch = Batch(trajectory.observation, trajectory.action, log_prob, target - values, target)
         step = functools.partial(self.gradient_step, task.network)
         sizes = (self.num_epochs, self.num_minibatches, self.shuffle_block or self.rollout_length)
         start = (state.params, state.optimizer)
         (params, optimizer), metrics = run_epochs(step, start, batch, shuffle_key, *sizes)
-        following = state.following(environment_state, key, params=params, optimizer=optimizer)
-        return following, {
+        next_state = state.next_state(env_states, key, params=params, optimizer=optimizer)
+        return next_state, {
             **jax.tree.map(jnp.mean, metrics),
-            **step_metrics(steps, jnp.mean(batch.advantage**2), target),
+            **step_metrics(trajectory, jnp.mean(batch.advantage**2), target),
             "kl_max": jnp.max(metrics["approx_kl"]),
             "learning_rate": jnp.asarray(self.learning_rate),
             "std": jnp.mean(jnp.exp(state.params["log_std"])),
@@ -145,7 +145,7 @@ class PPO(Learner):
 
     def collect(
         self, task: Task, state: TrainState, key: jax.Array
-    ) -> tuple[Any, tuple[Steps, jax.Array]]:
+    ) -> tuple[Any, tuple[Trajectory, jax.Array]]:
         """Simulate ``rollout_length`` steps of every environment with sampled actions.
 
         The state that an environment restarts from is drawn once for at most
@@ -154,23 +154,26 @@ class PPO(Learner):
         same state.
 
         Returns:
-            The environment states after the last step, reset where an episode ended; the steps,
-            and the log densities (time, n) of their actions.
+            The environment states after the last step, reset where an episode ended; the
+            trajectory, and the log densities (time, n) of its actions.
         """
         total, params = self.rollout_length, state.params
         length = max(d for d in range(1, min(total, MAX_RESET_INTERVAL) + 1) if total % d == 0)
         shape = (length, self.num_envs, task.network.action_size)
 
-        def interval(state: Any, key: jax.Array) -> tuple[Any, tuple[Steps, jax.Array]]:
-            fresh, noise = draw(task, key, shape)
+        def interval(states: Any, key: jax.Array) -> tuple[Any, tuple[Trajectory, jax.Array]]:
+            reset_states, noise = draw(task, key, shape)
             deviation = jnp.broadcast_to(jnp.exp(params["log_std"]), shape) * noise
-            state, steps = rollout(task, params, params, state, fresh, deviation)
+            states, trajectory = rollout(task, params, params, states, reset_states, deviation)
             # The density of an action about its mean is that of its noise about zero.
-            return state, (steps, log_probability(deviation, jnp.zeros(shape), params["log_std"]))
+            return states, (
+                trajectory,
+                log_probability(deviation, jnp.zeros(shape), params["log_std"]),
+            )
 
         keys = jax.random.split(key, total // length)
-        environment_state, steps = jax.lax.scan(interval, state.environment, keys)
-        return environment_state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), steps)
+        env_states, intervals = jax.lax.scan(interval, state.env_states, keys)
+        return env_states, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), intervals)
 
     def gradient_step(
         self, network: ActorCritic, carry: Carry, batch: Batch

@@ -20,8 +20,8 @@ Carry = TypeVar("Carry")
 Results = TypeVar("Results")
 
 
-class Steps(struct.PyTreeNode):
-    """Steps of all environments: axes are time, environment, then the quantity's own."""
+class Trajectory(struct.PyTreeNode):
+    """A trajectory of each environment; axes are time, environment, then the quantity's own."""
 
     observation: jax.Array  # (time, n, observation_size)
     action: jax.Array  # (time, n, actions), sampled, not clipped
@@ -35,13 +35,13 @@ class Steps(struct.PyTreeNode):
 def first_state(task: Task, key: jax.Array, num_envs: int, log_std: Scalar) -> TrainState:
     """A run's first state, without an optimizer, a target and a moving average."""
     network_key, reset_key, key = jax.random.split(key, 3)
-    params = initial_params(task.network, network_key, task.environment.observation_size)
+    params = initial_params(task.network, network_key, task.environments.observation_size)
     keys = jax.random.split(reset_key, num_envs)
     return TrainState(
         params={**params, "log_std": jnp.full_like(params["log_std"], log_std)},
         optimizer=(),
         target=None,
-        environment=task.environment.reset(task.env_params, keys),
+        env_states=task.environments.reset(task.env_params, keys),
         key=key,
         update=jnp.zeros((), jnp.int32),
     )
@@ -52,56 +52,56 @@ def draw(task: Task, key: jax.Array, shape: tuple[int, int, int]) -> tuple[Any, 
     reset_key, noise_key = jax.random.split(key)
     keys = constrain(jax.random.split(reset_key, shape[1]), AXIS)
     noise = constrain(jax.random.normal(noise_key, shape), None, AXIS)
-    return task.environment.reset(task.env_params, keys), noise
+    return task.environments.reset(task.env_params, keys), noise
 
 
 def rollout(
     task: Task,
     actor: Params,
     critic: Params,
-    state: Any,
-    fresh: Any,
+    states: Any,
+    reset_states: Any,
     noise: jax.Array,
-    through: Callable[[Any], Any] = lambda state: state,
-) -> tuple[Any, Steps]:
+    before_step: Callable[[Any], Any] = lambda states: states,
+) -> tuple[Any, Trajectory]:
     """Simulate every environment with noise on its actions; differentiable if they are.
 
     Args:
         task: the environment and the network.
         actor: parameters of the policy.
         critic: parameters whose value ``next_value`` is.
-        state: environment states.
-        fresh: the states that an ended episode restarts from.
+        states: environment states.
+        reset_states: the states that an ended episode restarts from.
         noise: (time, n, actions) to add to the mean action.
-        through: applied to the states before each step.
+        before_step: applied to the states before each step.
 
     Returns:
-        The environment states after the last step, reset where an episode ended, and the steps. No
-        gradient flows through their observations and actions.
+        The environment states after the last step, reset where an episode ended, and the
+        trajectory, through whose observations and actions no gradient flows.
     """
-    environment, network, params = task.environment, task.network, task.env_params
+    environments, network, params = task.environments, task.network, task.env_params
 
-    def step(state: Any, noise: jax.Array) -> tuple[Any, Steps]:
-        state = through(state)
-        observation = environment.observe(params, state)
+    def step(states: Any, noise: jax.Array) -> tuple[Any, Trajectory]:
+        states = before_step(states)
+        observation = environments.observe(params, states)
         action = mean_action(network, actor, observation) + noise
-        following, reward, terminated, truncated = environment.step(params, state, action)
-        steps = Steps(
+        next_states, reward, terminated, truncated = environments.step(params, states, action)
+        trajectory = Trajectory(
             observation=jax.lax.stop_gradient(observation),
             action=jax.lax.stop_gradient(action),
             reward=reward,
-            next_value=predict_value(network, critic, environment.observe(params, following)),
+            next_value=predict_value(network, critic, environments.observe(params, next_states)),
             terminated=terminated,
             truncated=truncated,
-            completed=environment.completed(state, following),
+            completed=environments.completed(states, next_states),
         )
-        return where_done(terminated | truncated, fresh, following), steps
+        return where_done(terminated | truncated, reset_states, next_states), trajectory
 
-    return jax.lax.scan(step, state, noise)
+    return jax.lax.scan(step, states, noise)
 
 
 def td_lambda(
-    steps: Steps, discount: Scalar, trace_decay: Scalar, reward_scale: Scalar = 1.0
+    trajectory: Trajectory, discount: Scalar, trace_decay: Scalar, reward_scale: Scalar = 1.0
 ) -> jax.Array:
     """TD(lambda) target (time, n) of the value of the observation before each step.
 
@@ -114,19 +114,21 @@ def td_lambda(
     7). The advantage of generalized advantage estimation (Schulman et al., 2016) is
     ``G_t - V(s_t)``.
     """
-    chex.assert_equal_shape([steps.reward, steps.next_value, steps.terminated, steps.truncated])
+    chex.assert_equal_shape(
+        [trajectory.reward, trajectory.next_value, trajectory.terminated, trajectory.truncated]
+    )
 
-    def backward(following: jax.Array, step: Steps) -> tuple[jax.Array, jax.Array]:
-        mixed = (1.0 - trace_decay) * step.next_value + trace_decay * following
+    def backward(next_target: jax.Array, step: Trajectory) -> tuple[jax.Array, jax.Array]:
+        mixed = (1.0 - trace_decay) * step.next_value + trace_decay * next_target
         future = jnp.where(step.truncated, step.next_value, mixed)
         future = jnp.where(step.terminated, 0.0, future)
         target = reward_scale * step.reward + discount * future
         return target, target
 
-    return jax.lax.scan(backward, steps.next_value[-1], steps, reverse=True)[1]
+    return jax.lax.scan(backward, trajectory.next_value[-1], trajectory, reverse=True)[1]
 
 
-def step_metrics(steps: Steps, error: jax.Array, target: jax.Array) -> Metrics:
+def step_metrics(trajectory: Trajectory, error: jax.Array, target: jax.Array) -> Metrics:
     """Metrics of all steps of an update, with the value's mean squared error () and its targets.
 
     Returns:
@@ -137,16 +139,16 @@ def step_metrics(steps: Steps, error: jax.Array, target: jax.Array) -> Metrics:
         of the task, divided by the sum of these and terminated episodes. The end of a course counts
         as terminated here, and in ``crash_rate``.
     """
-    terminated = jnp.mean(steps.terminated.astype(jnp.float32))
-    truncated = jnp.mean(steps.truncated.astype(jnp.float32))
+    terminated = jnp.mean(trajectory.terminated.astype(jnp.float32))
+    truncated = jnp.mean(trajectory.truncated.astype(jnp.float32))
     metrics = {
-        "reward": jnp.mean(steps.reward),
+        "reward": jnp.mean(trajectory.reward),
         "crash_rate": terminated / jnp.maximum(terminated + truncated, 1e-9),
         "terminated": terminated,
         "explained_variance": 1.0 - error / jnp.maximum(jnp.var(target), 1e-9),
     }
-    if steps.completed is not None:
-        passed = jnp.mean(steps.completed)
+    if trajectory.completed is not None:
+        passed = jnp.mean(trajectory.completed)
         metrics["pass_rate"] = passed / jnp.maximum(passed + terminated, 1e-9)
     return metrics
 

@@ -122,15 +122,15 @@ class Training(struct.PyTreeNode):
     def update(self, state: TrainState) -> tuple[TrainState, Metrics]:
         """The state after one update, and its metrics."""
         learner, task = self.at(state.update, state.level)
-        following, metrics = learner.update(task, state)
+        next_state, metrics = learner.update(task, state)
         if self.curriculum is None:
-            return following, metrics
+            return next_state, metrics
         if "pass_rate" not in metrics:
             raise InputError("schedules by pass_rate: the learner reports no metric pass_rate")
         pass_rate, climb = self.curriculum  # the level rises while enough parts are completed
         step = jnp.where(metrics["pass_rate"] >= pass_rate, climb, -climb)
         level = jnp.clip(state.level + step, 0.0, 1.0)
-        return dataclasses.replace(following, level=level), metrics | {"level": level}
+        return dataclasses.replace(next_state, level=level), metrics | {"level": level}
 
     def with_schedules(
         self,
@@ -155,7 +155,7 @@ class Training(struct.PyTreeNode):
         """
         leaves, keys, built = _leaves(self)[0], dict[str, str](), []
         for key, schedule in schedules.items():
-            if needs := self.task.environment.describe_dependents(self.task.env_params, key):
+            if needs := self.task.environments.describe_dependents(self.task.env_params, key):
                 raise InputError(f"schedules: {key} cannot be scheduled: {needs} computed from it")
             for path in paths(key):
                 if (other := keys.setdefault(path, key)) != key:

@@ -36,7 +36,7 @@ from quadjax.learners.learner import (
 from quadjax.learners.networks import predict_value
 from quadjax.learners.parallel import AXIS, SHARED, split_last, sum_over_devices
 from quadjax.learners.rollout import (
-    Steps,
+    Trajectory,
     clip,
     descend,
     draw,
@@ -132,24 +132,25 @@ class SHAC(Learner):
     def update(self, task: Task, state: TrainState) -> tuple[TrainState, Metrics]:
         """Move the policy along the gradient of a rollout, and fit the critic to its steps."""
         key, rollout_key, shuffle_key = jax.random.split(state.key, 3)
-        loss, gradient, environment_state, steps = self.collect_gradient(task, state, rollout_key)
+        loss, gradient, env_states, trajectory = self.collect_gradient(task, state, rollout_key)
         optimizer = self.make_policy_optimizer(self.learning_rate)
         carry = (state.params["actor"], state.optimizer[0])
         (actor, actor_optimizer), skipped = descend(
             optimizer, clip(gradient, self.max_grad_norm), carry
         )
-        critic, critic_optimizer, critic_metrics = self.fit_critic(task, state, steps, shuffle_key)
+        fitted = self.fit_critic(task, state, trajectory, shuffle_key)
+        critic, critic_optimizer, critic_metrics = fitted
         log_std = jnp.full_like(state.params["log_std"], jnp.log(self.std))
         params = {"actor": actor, "critic": critic, "log_std": log_std}
-        following = state.following(
-            environment_state,
+        next_state = state.next_state(
+            env_states,
             key,
             params=params,
             optimizer=(actor_optimizer, critic_optimizer),
             target=optax.incremental_update(params, state.target, jnp.float32(TARGET_RATE)),
             ema=self.moving_average(state, params),
         )
-        return following, {
+        return next_state, {
             "policy_loss": loss,
             "std": jnp.asarray(self.std),
             "gradient_norm": optax.tree.norm(gradient),
@@ -160,85 +161,106 @@ class SHAC(Learner):
 
     def collect_gradient(
         self, task: Task, state: TrainState, key: jax.Array
-    ) -> tuple[jax.Array, Any, Any, Steps]:
+    ) -> tuple[jax.Array, Any, Any, Trajectory]:
         """A rollout, and the gradient of the policy's loss through it.
 
         The loss is the negative return, averaged over all steps.
 
         Returns:
-            The loss (), its gradient, the environment states after the rollout, and its steps,
+            The loss (), its gradient, the environment states after the rollout, and its trajectory,
             without gradients.
         """
         shape = (self.horizon, self.num_envs, task.network.action_size)
-        fresh, noise = draw(task, key, shape)
-        split, time_first = split_last(state.environment), PartitionSpec(None, AXIS)
-        of_arguments = SHARED, SHARED, SHARED, split, split, time_first
-        differentiate = sum_over_devices(sum_gradient, of_arguments, (split, time_first))
-        networks = state.params, state.target
-        sums, (environment_state, steps) = differentiate(
-            self, task, networks, state.environment, fresh, self.std * noise
+        reset_states, noise = draw(task, key, shape)
+        split, time_first = split_last(state.env_states), PartitionSpec(None, AXIS)
+        of_arguments = SHARED, SHARED, SHARED, SHARED, split, split, time_first
+        differentiate = sum_over_devices(type(self).sum_gradient, of_arguments, (split, time_first))
+        sums, (env_states, trajectory) = differentiate(
+            self, task, state.params, state.target, state.env_states, reset_states, self.std * noise
         )
         loss, gradient = optax.tree.scale(1.0 / (self.num_envs * self.horizon), sums)
-        return loss, gradient, environment_state, steps
+        return loss, gradient, env_states, trajectory
+
+    def sum_gradient(
+        self,
+        task: Task,
+        params: Params,
+        target: Params,
+        states: Any,
+        reset_states: Any,
+        noise: jax.Array,
+    ) -> tuple[tuple[jax.Array, Any], tuple[Any, Trajectory]]:
+        """``loss`` and its gradient with respect to the policy, and what else ``loss`` returns.
+
+        A method of its own, because it runs on each device with the environments of that device.
+        """
+
+        def loss_of(actor: Params) -> tuple[jax.Array, tuple[Any, Trajectory]]:
+            return self.loss({**params, "actor": actor}, task, target, states, reset_states, noise)
+
+        (loss, rest), gradient = jax.value_and_grad(loss_of, has_aux=True)(params["actor"])
+        return (loss, gradient), rest
 
     def loss(
         self,
-        actor: Params,
+        params: Params,
         task: Task,
-        networks: tuple[Params, Params],
+        target: Params,
         states: Any,
-        fresh: Any,
+        reset_states: Any,
         noise: jax.Array,
-    ) -> tuple[jax.Array, tuple[Any, Steps]]:
-        """The negative return () of a rollout, summed over environments; the last states and steps.
+    ) -> tuple[jax.Array, tuple[Any, Trajectory]]:
+        """The negative return () of a rollout, summed over environments.
 
         Args:
-            actor: parameters of the policy.
+            params: of policy and critic; the policy's are differentiated.
             task: the environment and the network.
-            networks: all parameters, and those of the target critic.
+            target: parameters of the target critic.
             states: environment states, n.
-            fresh: the states that an ended episode restarts from.
+            reset_states: the states that an ended episode restarts from.
             noise: (horizon, n, actions) to add to the mean action.
+
+        Returns:
+            The loss; the environment states after the rollout and its trajectory.
         """
 
-        def through(state: Any) -> Any:
-            return scale_and_clip_cotangent(state, self.cotangent_decay, self.cotangent_clip)
+        def before_step(states: Any) -> Any:
+            return scale_and_clip_cotangent(states, self.cotangent_decay, self.cotangent_clip)
 
-        policy = {**networks[0], "actor": actor}
-        end, steps = rollout(task, policy, networks[1], states, fresh, noise, through)
-        return -self.total_return(steps), (end, steps)
+        end, trajectory = rollout(task, params, target, states, reset_states, noise, before_step)
+        return -self.total_return(trajectory), (end, trajectory)
 
-    def total_return(self, steps: Steps) -> jax.Array:
+    def total_return(self, trajectory: Trajectory) -> jax.Array:
         """Discounted return of every environment over a short horizon, summed, ().
 
         ``sum_t gamma^t r_t``, plus the discounted value where an episode is truncated and at the
         horizon (Xu et al., 2022, eq. 5). After the end of an episode the discounting restarts at 1.
         """
 
-        def one(carry: tuple[jax.Array, jax.Array], step: Steps) -> tuple[Any, None]:
+        def one(carry: tuple[jax.Array, jax.Array], step: Trajectory) -> tuple[Any, None]:
             gamma, total = carry
             done, value = step.terminated | step.truncated, self.discount * step.next_value
             reward = self.reward_scale * step.reward
             total = total + gamma * (reward + jnp.where(step.truncated, value, 0.0))
             return (jnp.where(done, 1.0, gamma * self.discount), total), None
 
-        ones = jnp.ones_like(steps.reward[0])
-        (gamma, total), _ = jax.lax.scan(one, (ones, jnp.zeros_like(ones)), steps)
-        done = steps.terminated[-1] | steps.truncated[-1]
-        return jnp.sum(total + jnp.where(done, 0.0, gamma * steps.next_value[-1]))
+        ones = jnp.ones_like(trajectory.reward[0])
+        (gamma, total), _ = jax.lax.scan(one, (ones, jnp.zeros_like(ones)), trajectory)
+        done = trajectory.terminated[-1] | trajectory.truncated[-1]
+        return jnp.sum(total + jnp.where(done, 0.0, gamma * trajectory.next_value[-1]))
 
     def fit_critic(
-        self, task: Task, state: TrainState, steps: Steps, key: jax.Array
+        self, task: Task, state: TrainState, trajectory: Trajectory, key: jax.Array
     ) -> tuple[Any, optax.OptState, Metrics]:
         """Regression of the critic to TD(lambda) targets (Xu et al., 2022, eq. 7).
 
-        Several epochs of minibatches of whole trajectories; ``steps`` have values of the target
-        critic.
+        Several epochs of minibatches of whole rollouts of an environment; the trajectory has values
+        of the target critic.
 
         Returns:
             The critic's parameters, Adam's state, and metrics.
         """
-        targets = td_lambda(steps, self.discount, self.td_lambda, self.reward_scale)
+        targets = td_lambda(trajectory, self.discount, self.td_lambda, self.reward_scale)
         adam = self.make_adam(self.critic_learning_rate)
 
         def loss(critic: Params, observation: jax.Array, target: jax.Array) -> jax.Array:
@@ -250,11 +272,12 @@ class SHAC(Learner):
             error, gradient = jax.value_and_grad(loss)(carry[0], *rows)
             return descend(adam, clip(gradient, self.critic_max_grad_norm), carry)[0], error
 
-        start, data = (state.params["critic"], state.optimizer[1]), (steps.observation, targets)
+        start = state.params["critic"], state.optimizer[1]
+        data = trajectory.observation, targets
         sizes = (self.critic_epochs, self.critic_minibatches, self.horizon)
         (critic, optimizer), errors = run_epochs(step, start, data, key, *sizes)
-        metrics = {"value_loss": errors.mean()} | step_metrics(steps, errors[-1].mean(), targets)
-        return critic, optimizer, metrics
+        metrics = step_metrics(trajectory, errors[-1].mean(), targets)
+        return critic, optimizer, {"value_loss": errors.mean()} | metrics
 
     def make_adam(self, rate: Scalar) -> optax.GradientTransformation:
         """Adam with a step size."""
@@ -283,19 +306,3 @@ class SHAC(Learner):
         rate = jnp.maximum(self.ema_rate, EMA_FRACTION / (EMA_FRACTION + state.update))
         average = optax.incremental_update(params, state.ema, rate)
         return {**average, "log_std": params["log_std"]}
-
-
-def sum_gradient(
-    learner: SHAC,
-    task: Task,
-    networks: tuple[Params, Params],
-    states: Any,
-    fresh: Any,
-    noise: jax.Array,
-) -> tuple[tuple[jax.Array, Any], tuple[Any, Steps]]:
-    """The loss of a rollout and its gradient, both sums over environments; states and steps."""
-    differentiate = jax.value_and_grad(learner.loss, has_aux=True)
-    (loss, rest), gradient = differentiate(
-        networks[0]["actor"], task, networks, states, fresh, noise
-    )
-    return (loss, gradient), rest

@@ -19,8 +19,8 @@ class Task(struct.PyTreeNode):
     """What a learner trains: a network on an environment, whose numbers are traced."""
 
     env_params: Any  # numbers of the environment
-    # Of many agents: states are batched along the last axis.
-    environment: Environment = struct.field(pytree_node=False)
+    # Of one environment, vectorized: states are batched along the last axis.
+    environments: Vectorized = struct.field(pytree_node=False)
     network: ActorCritic = struct.field(pytree_node=False)
 
     @classmethod
@@ -44,7 +44,7 @@ class TrainState(struct.PyTreeNode):
     params: Params  # of the ``ActorCritic``
     optimizer: optax.OptState
     target: Any  # parameters or None: slowly moving copy, whose value is the target critic
-    environment: Any  # states of all environments, batched along the last axis
+    env_states: Any  # of all environments, batched along the last axis
     key: jax.Array  # () PRNG key
     update: jax.Array  # () int32, number of updates done
     ema: Any = None  # parameters or None: exponential moving average of ``params``
@@ -55,7 +55,7 @@ class TrainState(struct.PyTreeNode):
         """The parameters to evaluate and to save: the moving average where there is one."""
         return self.params if self.ema is None else self.ema
 
-    def following(self, environment: Any, key: jax.Array, **changes: Any) -> "TrainState":
+    def next_state(self, env_states: Any, key: jax.Array, **changes: Any) -> "TrainState":
         """The state after an update, with what it changes; all else stays."""
-        counters = {"environment": environment, "key": key, "update": self.update + 1}
+        counters = {"env_states": env_states, "key": key, "update": self.update + 1}
         return dataclasses.replace(self, **counters, **changes)

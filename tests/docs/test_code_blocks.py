@@ -107,7 +107,7 @@ def first_state(training, key):
         return jnp.broadcast_to(jax.random.key(0) if is_key else leaf.dtype.type(0), leaf.shape)
 
     state, task = jax.tree.map(zeros, jax.eval_shape(INIT, training, key)), training.task
-    networks = initial_params(task.network, jax.random.key(0), task.environment.observation_size)
+    networks = initial_params(task.network, jax.random.key(0), task.environments.observation_size)
     copies = [name for name in ("params", "target", "ema") if getattr(state, name) is not None]
     return dataclasses.replace(state, **dict.fromkeys(copies, networks))
 

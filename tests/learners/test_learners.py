@@ -74,11 +74,11 @@ def test_the_same_on_several_devices(name):
     for key in ("policy_loss", "value_loss"):
         assert found[key].shape == (10,)
         np.testing.assert_allclose(found[key], wanted[key], rtol=1e-4, atol=1e-5)
-    assert len(state.environment.place.sharding.device_set) == 4
+    assert len(state.env_states.place.sharding.device_set) == 4
     for here, there in zip(plain(state.params), plain(alone.params), strict=True):
         np.testing.assert_allclose(here, there, atol=2e-4)
     np.testing.assert_array_equal(plain(state.key)[0], plain(alone.key)[0])
-    np.testing.assert_allclose(state.environment.place, alone.environment.place, atol=2e-4)
+    np.testing.assert_allclose(state.env_states.place, alone.env_states.place, atol=2e-4)
 
 
 @ALL

@@ -13,7 +13,7 @@ from quadjax.learners.loop import plan_chunks
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.parallel import choose_devices, core_count, prepare_devices
 from quadjax.learners.ppo import PPO, Batch
-from quadjax.learners.rollout import Steps, clip, first_state, run_epochs, td_lambda
+from quadjax.learners.rollout import Trajectory, clip, first_state, run_epochs, td_lambda
 from quadjax.learners.shac import SHAC
 from quadjax.learners.state import Task
 from quadjax.training.build import training_environment
@@ -59,7 +59,7 @@ def test_a_step_of_muon_moves_all_directions_of_a_matrix_equally_far():
 
 
 def targets(reward, next_value, terminated, truncated, *numbers):
-    steps = Steps(None, None, reward, next_value, terminated, truncated, None)
+    steps = Trajectory(None, None, reward, next_value, terminated, truncated, None)
     return jax.jit(td_lambda)(steps, *map(np.float32, numbers))
 
 
@@ -95,7 +95,9 @@ def test_the_return_of_short_horizons(steps):
     """What SHAC maximizes: discounting starts again after an end, values follow truncations."""
     reward, _, next_value, terminated, truncated = steps
     hyper = SHAC(discount=0.9, reward_scale=0.5)
-    found = hyper.total_return(Steps(None, None, reward, next_value, terminated, truncated, None))
+    found = hyper.total_return(
+        Trajectory(None, None, reward, next_value, terminated, truncated, None)
+    )
     expected = 0.0
     for n in range(COUNT):
         gamma = 1.0

@@ -19,7 +19,7 @@ from quadjax.core.environment import Environment
 from quadjax.core.traced import as_leaves
 from quadjax.learners.networks import mean_action, predict_value
 from quadjax.learners.ppo import PPO, log_probability
-from quadjax.learners.rollout import Steps, td_lambda
+from quadjax.learners.rollout import Trajectory, td_lambda
 from quadjax.learners.state import Task
 
 TOLERANCE = 1e-5
@@ -66,7 +66,7 @@ def parameters(trace):
 
 def rollout_of(trace, network):
     """The steps, and the log densities of their actions by Stable-Baselines3."""
-    steps = Steps(
+    steps = Trajectory(
         observation=trace["observation"][:-1],
         action=trace["actions"],
         reward=trace["reward"],
@@ -93,7 +93,7 @@ def update(trace):
         """Learns from the steps of the trace, and keeps what each minibatch changes."""
 
         def collect(self, task, state, key):
-            return state.environment, fed
+            return state.env_states, fed
 
         def gradient_step(self, network, carry, batch):
             carry, metrics = super().gradient_step(network, carry, batch)

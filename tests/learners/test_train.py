@@ -117,20 +117,20 @@ class Ascent(Learner):
         return self.num_envs
 
     def init(self, task, key):
-        weights = initial_params(task.network, key, task.environment.observation_size)
+        weights = initial_params(task.network, key, task.environments.observation_size)
         return TrainState(weights, (), None, (), key, jnp.int32(0))
 
     def update(self, task, state):
         def reward(weights):
-            start = task.environment.reset(task.env_params, keys)
-            seen = task.environment.observe(task.env_params, start)
+            start = task.environments.reset(task.env_params, keys)
+            seen = task.environments.observe(task.env_params, start)
             action = mean_action(task.network, weights, seen)
-            return task.environment.step(task.env_params, start, action)[1].mean()
+            return task.environments.step(task.env_params, start, action)[1].mean()
 
         keys = jax.random.split(state.key, self.num_envs)
         slope = jax.grad(reward)(state.params)
         weights = jax.tree.map(lambda w, g: w + 0.1 * g, state.params, slope)
-        new = state.following((), keys[0], params=weights)
+        new = state.next_state((), keys[0], params=weights)
         return new, {"reward": reward(weights)}
 
 

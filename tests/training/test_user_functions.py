@@ -36,7 +36,7 @@ class Own(Learner):
     steps_per_update = property(lambda self: 64)
 
     def init(self, task, key):
-        w = task.network.init(key, jnp.zeros(task.environment.observation_size))["params"]
+        w = task.network.init(key, jnp.zeros(task.environments.observation_size))["params"]
         return TrainState(w, optax.adam(1e-3).init(w), None, (), key, jnp.int32(0))
 
 
