@@ -76,7 +76,7 @@ def fly(environment: Race, n: int, params: RaceParams, seed: int, end: int) -> l
         return race, jnp.concatenate([plan[1:], plan[-1:]]), key
 
     begin = (first, jnp.zeros((HORIZON, environment.model.action_size)), key)
-    return jax.lax.while_loop(lambda x: (x[0].state.step < end) & ~x[0].over, step, begin)[0]
+    return jax.lax.while_loop(lambda x: (x[0].state.clock < end) & ~x[0].over, step, begin)[0]
 
 
 def mppi(
@@ -95,7 +95,7 @@ def mppi(
         jax.block_until_ready(fly(environment, samples, params, seed, 1))  # compile
         began, end = time.monotonic(), laps.step_limit(params, LAPS)
         race = jax.block_until_ready(fly(environment, samples, params, seed, end))
-        cost = (time.monotonic() - began) / (int(race.state.step) * config.rules.time_step)
+        cost = (time.monotonic() - began) / (int(race.state.clock) * config.rules.time_step)
         flown = [np.diff(np.where(race.lap_end > 0.0, race.lap_end, np.nan), prepend=0.0)]
         if train:
             policy = quadjax.train(config, f"runs/mppi/{track}_{seed}", resume=True).policy

@@ -62,11 +62,11 @@ def make_environment(config: Config) -> Race:
         user_terms=_user_objects("reward.terms", config.reward.terms),
         user_rules=_user_objects("rules.extra", config.rules.extra),
         report_passes=any(x.by == "pass_rate" for x in config.schedules.values()),
-        own_code=object() if _has_own_code(config) else None,
+        code_version=object() if _has_user_code(config) else None,
     )
 
 
-def _has_own_code(config: Config) -> bool:
+def _has_user_code(config: Config) -> bool:
     """Whether a step calls code of the user, which may read what changes between two trainings."""
     extra = config.observation.extra, config.reward.terms, config.rules.extra
     return ":" in config.vehicle.model or any(extra) or config.network.module is not None

@@ -2,8 +2,10 @@
 
 XLA fuses a cheap producer into each of its consumers and recomputes it there. A simulator is a
 short chain of cheap operations with many outputs: each output recomputes the whole chain. The
-functions here put values behind a conditional on a flag that is true, but unknown to the compiler.
-XLA does not fuse through a conditional.
+functions here put values behind a conditional on ``opaque_true``, which is true, but the compiler
+does not know it. XLA does not fuse through a conditional.
+
+All of this affects the speed on CPUs only, and no value: ignore ``opaque_true`` while reading.
 
 ``jax.lax.optimization_barrier`` does not help: XLA's CPU pipeline removes barriers before it fuses.
 For one step of the race (256 drones) XLA counts 1.7e6 operations without materialization, 2.0e6
@@ -84,9 +86,9 @@ def materialized(
 ) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
     """A decorator of pure functions whose result is computed once, inside the conditional.
 
-    The function takes one more keyword, ``flag``: the ``opaque_true`` of ``materialize``, or None,
-    with which it is the plain function. ``materialize(function(*arguments), flag)`` has the same
-    values, but copies each of them.
+    The function takes one more keyword, ``opaque_true``: that of ``materialize``; without it, or
+    with None, it is the plain function. ``materialize(function(*arguments), opaque_true)`` has the
+    same values, but copies each of them.
 
     Args:
         static: number of the function's first arguments that are static and hashable.
@@ -97,10 +99,10 @@ def materialized(
         once = _inside_conditional(function, static, gradients)
 
         @functools.wraps(function)
-        def call(*arguments: Any, flag: jax.Array | None = None) -> Result:
-            if flag is None or jax.default_backend() != "cpu":
+        def call(*arguments: Any, opaque_true: jax.Array | None = None) -> Result:
+            if opaque_true is None or jax.default_backend() != "cpu":
                 return function(*arguments)
-            return once(arguments[:static], arguments[static:], flag)
+            return once(arguments[:static], arguments[static:], opaque_true)
 
         return call
 
@@ -110,7 +112,7 @@ def materialized(
 def _inside_conditional(
     function: Callable[..., Any], static: int, gradients: bool
 ) -> Callable[[tuple, tuple, jax.Array], Any]:
-    """``function`` of static and other arguments and the flag, inside a conditional.
+    """``function`` of static and other arguments and ``opaque_true``, inside a conditional.
 
     Where gradients flow it is the plain function, with ``gradients`` materialized.
     """
@@ -118,7 +120,7 @@ def _inside_conditional(
     inlined = jax.jit(function, static_argnums=tuple(range(static)), inline=True)
 
     @functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
-    def once(fixed: tuple, arguments: tuple, flag: jax.Array) -> Any:
+    def once(fixed: tuple, arguments: tuple, opaque_true: jax.Array) -> Any:
         def compute(arguments: tuple) -> Any:
             return inlined(*fixed, *arguments)
 
@@ -126,12 +128,12 @@ def _inside_conditional(
             shapes = jax.eval_shape(compute, arguments)
             return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
 
-        return jax.lax.cond(flag, compute, zeros, arguments)
+        return jax.lax.cond(opaque_true, compute, zeros, arguments)
 
-    def forward(fixed: tuple, arguments: tuple, flag: jax.Array) -> tuple[Any, Callable]:
+    def forward(fixed: tuple, arguments: tuple, opaque_true: jax.Array) -> tuple[Any, Callable]:
         def differentiated(values: tuple) -> Any:
             result = function(*fixed, *values)
-            return materialize(result, flag) if gradients else result
+            return materialize(result, opaque_true) if gradients else result
 
         return jax.vjp(differentiated, arguments)
 

@@ -92,7 +92,7 @@ def simulate(
     key, noise = jax.random.split(jax.random.key(protocol.seed))
     states, speeds = _starts(environment, params, key, layouts, protocol), None
     flights = (params, ready, states, noise, last)
-    few = states.step.shape[-1] * steps <= RECORDED_STATES
+    few = states.clock.shape[-1] * steps <= RECORDED_STATES
     trace = speed_record if protocol.speeds else few
     flown, recorded = race.fly_race(environment, actor, count, steps, trace, *flights)
     laps = race.laps_of(environment, flown, time_step, limit)
@@ -171,8 +171,8 @@ def start_before_gate(environment: Race, params: RaceParams, key: jax.Array) -> 
     constants = params.vehicle.constants if state.constants is None else state.constants
     drone = model.start(constants, motion, draws["actuators"], (low, high))
     zero = jnp.zeros((), jnp.int32)
-    fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
-    return begin_memories(environment, params, fresh)
+    begun = state.replace(drone=drone, target=target, clock=zero, gates_passed=zero)
+    return begin_memories(environment, params, begun)
 
 
 @functools.partial(jax.jit, static_argnums=0)

@@ -186,9 +186,11 @@ def update(params: EkfParams, state: EkfState, measured: Measured) -> EkfState:
     )
     line = jax.tree.map(lambda xs, x: jnp.append(xs, x), state.waiting, aligned)
     sample = jax.tree.map(lambda xs: xs[0], line)
-    flag, known = params.step > 0.0, (state.motion, state.covariance)
-    motion, covariance = predict(params, *known, state.last, sample, flag=flag)
-    motion, covariance = correct(params, motion, covariance, sample, measured.fix, flag=flag)
+    opaque_true, known = params.step > 0.0, (state.motion, state.covariance)
+    motion, covariance = predict(params, *known, state.last, sample, opaque_true=opaque_true)
+    motion, covariance = correct(
+        params, motion, covariance, sample, measured.fix, opaque_true=opaque_true
+    )
     waiting = jax.tree.map(lambda xs: xs[1:], line)
     return EkfState(motion, covariance, sample, waiting, newest, state.newest)
 
@@ -205,7 +207,7 @@ def predict(
 
     ``motion`` is that at ``before``, ``covariance`` (15, 15) that of its errors.
     """
-    moved, f = advance(params.gravity, motion, before, after, flag=params.step > 0.0)
+    moved, f = advance(params.gravity, motion, before, after, opaque_true=params.step > 0.0)
     grown = f @ covariance @ f.T + params.noise * (after.step / params.step)
     return moved, grown
 
@@ -263,7 +265,7 @@ def correct(
     volume 1, 1979, section 5.10). A number measures one error: ``P H^T`` is a row of ``P``,
     (15, 15). Rates and force of ``at``, the sample processed last, bridge the offset to the pose.
     """
-    innovations = _innovation(params, motion, at, fix, flag=params.step > 0.0)
+    innovations = _innovation(params, motion, at, fix, opaque_true=params.step > 0.0)
     errors = jnp.zeros(15)
     for number, row in enumerate(POSE):
         column = covariance[row]

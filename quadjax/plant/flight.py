@@ -15,7 +15,7 @@ from quadjax.plant.onboard import OnboardParams, OnboardState, StateEstimate
 from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.policy.pilot import Pilot, act
 from quadjax.race import laps
-from quadjax.race.environment import Race, progressed
+from quadjax.race.environment import Race, advance_race
 from quadjax.race.episode import hover
 from quadjax.race.memory import advance_memories, begin_memories
 from quadjax.race.rules import evaluate_rules
@@ -111,16 +111,16 @@ def sample(
     """
     computers, rotors = onboard.command_rotors(plan.onboard, drones.onboard, command)
     first, rest = draws[: gusts.DRAWS], draws[gusts.DRAWS :]
-    flag = plan.plant.step > 0.0  # true, but unknown to the compiler
-    state = plant.update(plan.plant, drones.plant, rotors, first, flag)
+    opaque_true = plan.plant.step > 0.0
+    state = plant.update(plan.plant, drones.plant, rotors, first, opaque_true)
     computers = onboard.sense(plan.onboard, plan.plant, state, computers, rotors, rest)
     before, body = drones.race.state, state.physics.body
     g = gate(plan.race.track, before.target)
     step = Step(plan.environment.model, plan.race, before, g, body)
     outcome = evaluate_rules(step, plan.environment.user_rules)
-    following = progressed(plan.race, before, body, outcome)
+    next_state = advance_race(plan.race, before, body, outcome)
     gates = gate_count(plan.race.track)
-    race = laps.count_laps(drones.race, following, outcome, plan.plant.step, gates)
+    race = laps.count_laps(drones.race, next_state, outcome, plan.plant.step, gates)
     return Drones(race, state, computers), rotors
 
 
@@ -149,8 +149,8 @@ def hold_command(
         draws = jax.random.normal(key, (onboard.DRAWS, plan.runs))
         return advance(plan, drones, command, draws)
 
-    following, rotors = jax.lax.scan(one, drones, jax.random.split(key, plan.samples_per_command))
-    return following, jax.tree.map(lambda x: x[-1], rotors)
+    after, rotors = jax.lax.scan(one, drones, jax.random.split(key, plan.samples_per_command))
+    return after, jax.tree.map(lambda x: x[-1], rotors)
 
 
 def _known_motion(plan: Plan, computers: OnboardState) -> RigidBodyState:
@@ -189,11 +189,11 @@ def advance(plan: Plan, steps: int, drones: Drones, key: jax.Array) -> tuple[Dro
         observed = jax.vmap(observe, in_axes=(None, -1))(plan, drones)
         action = act_all(plan.pilot, observed, jax.random.normal(of_policy, (plan.runs, 4)))
         command = command_of(plan.race, action)
-        following, rotors = hold_command(plan, drones, command, of_plant)
+        after, rotors = hold_command(plan, drones, command, of_plant)
         recorded = jax.tree.map(lambda x: x[..., : plan.recorded], (drones, command, rotors))
         frame = jax.vmap(record_frame, (axes(plan), -1, -1, -1), -1)(first_runs(plan), *recorded)
         recall = jax.vmap(remember, (axes(plan), -1, -1, 0), -1)
-        return recall(plan, drones, following, action), frame
+        return recall(plan, drones, after, action), frame
 
     return jax.lax.scan(control, drones, jax.random.split(key, steps))
 

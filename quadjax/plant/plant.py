@@ -240,7 +240,7 @@ def update(
     state: PlantState,
     command: Rotors,
     draws: jax.Array,
-    flag: jax.Array | None = None,
+    opaque_true: jax.Array | None = None,
 ) -> PlantState:
     """One drone one sample later.
 
@@ -249,7 +249,7 @@ def update(
         state: from ``begin`` or the last ``update``.
         command: rpm, clipped to the range of the motors.
         draws: (gusts.DRAWS,) standard normal numbers.
-        flag: of ``quadjax.core.materialize``.
+        opaque_true: of ``quadjax.core.materialize``, for the speed on CPUs only.
     """
     low, high = params.vehicle.constants.rpm_min, params.motors.rpm_max
     held = jax.tree.map(lambda u: jnp.clip(u, low, high), command)
@@ -258,7 +258,7 @@ def update(
     wind = gusts.velocity(params.gusts, state.gusts) * params.effects.gusts
 
     def slope(physics: Physics) -> Physics:
-        return derivative(params, physics, applied, wind, flag=flag)
+        return derivative(params, physics, applied, wind, opaque_true=opaque_true)
 
     physics = rk4_step(slope, state.physics, params.step)
     euler = physics.body.euler
@@ -269,8 +269,8 @@ def update(
         state.phase,
         body.actuators,
     )
-    following = gusts.update(params.gusts, state.gusts, body.velocity, params.step, draws)
-    return PlantState(physics.replace(body=body), turning, phase, following, line[1:])
+    gust = gusts.update(params.gusts, state.gusts, body.velocity, params.step, draws)
+    return PlantState(physics.replace(body=body), turning, phase, gust, line[1:])
 
 
 def truth_of(params: PlantParams, state: PlantState) -> GroundTruth:

@@ -25,7 +25,7 @@ from quadjax.race.laps import Actor, Laps, Trace, fly_laps
 from quadjax.race.layout import LAST_ACTION, Layout, ObservedField
 from quadjax.race.observation_config import NONE, Observation
 from quadjax.race.observations import HIGHEST_RPM, command_range, fields_of
-from quadjax.race.types import RaceParams, Scales
+from quadjax.race.types import PolicyRanges, RaceParams
 from quadjax.vehicle.battery import LOWEST
 from quadjax.vehicle.protocol import VehicleModel
 
@@ -76,8 +76,8 @@ def adapt_race(
         spans += there.span or _span_without(environment.model, here, policy)
     low, high = (jnp.asarray(ends, jnp.float32) for ends in zip(*spans, strict=True))
     least, most = (jnp.asarray(x, jnp.float32) for x in (policy.command_low, policy.command_high))
-    scales = Scales(observed=(low, high), commanded=(least, most))
-    return dataclasses.replace(environment, layout=layout), params.replace(scales=scales)
+    ranges = PolicyRanges(observed=(low, high), commanded=(least, most))
+    return dataclasses.replace(environment, layout=layout), params.replace(ranges=ranges)
 
 
 def _span_without(

@@ -1,8 +1,7 @@
 """The racing environment ``Race``: vehicle, track, rules and starts as pure functions of one drone.
 
-``quadjax.race.types`` has its traced ``RaceParams`` and its ``RaceState``. The argument ``flag``
-changes no value: it stops XLA's CPU backend from computing a result again for every use
-(``quadjax.core.materialize``).
+``quadjax.race.types`` has its traced ``RaceParams`` and its ``RaceState``. Ignore ``opaque_true``
+while reading: it changes no value, only the speed on CPUs (``quadjax.core.materialize``).
 """
 
 import dataclasses
@@ -53,7 +52,8 @@ class Race(Environment[RaceParams, RaceState]):
     user_terms: UserFunctions = ()  # a user's reward terms, in addition to REWARDS
     user_rules: UserFunctions = ()  # a user's rules, in addition to TERMINATIONS
     report_passes: bool = False  # report the gates passed to the learner, for curricula
-    own_code: object = None  # with code of a user, a new object: no program is used again
+    # With code of a user, a new object: JAX traces and compiles it again, as it may have changed.
+    code_version: object = None
 
     @property
     def observation_size(self) -> int:  # type: ignore[override]
@@ -80,8 +80,8 @@ class Race(Environment[RaceParams, RaceState]):
         self, params: RaceParams, state: RaceState, action: jax.Array
     ) -> tuple[RaceState, jax.Array, jax.Array, jax.Array]:
         """``transition`` as a step of an ``Environment``."""
-        following, value, outcome = self.transition(params, state, action)
-        return following, value, outcome.over, outcome.truncated
+        next_state, value, outcome = self.transition(params, state, action)
+        return next_state, value, outcome.over, outcome.truncated
 
     def completed(self, before: RaceState, after: RaceState) -> jax.Array | None:
         """The number () of gates passed, 0 or 1, where it is reported."""
@@ -97,9 +97,11 @@ class Race(Environment[RaceParams, RaceState]):
     def observation(self, params: RaceParams, state: RaceState) -> jax.Array:
         """``observe`` in any precision; see ``quadjax.race.observations``."""
         params = params.on_track(state.track)
-        flag = params.opaque_true
-        step = Step(self.model, params, state, gate(params.track, state.target, flag=flag))
-        numbers = jnp.stack(_numbers(self, step, flag=flag))
+        opaque_true = params.opaque_true
+        step = Step(
+            self.model, params, state, gate(params.track, state.target, opaque_true=opaque_true)
+        )
+        numbers = jnp.stack(_numbers(self, step, opaque_true=opaque_true))
         return numbers if params.observation_scale is None else numbers * params.observation_scale
 
     def command(self, params: RaceParams, action: jax.Array | tuple[jax.Array, ...]) -> Command:
@@ -111,7 +113,7 @@ class Race(Environment[RaceParams, RaceState]):
         low, high = command_range(self.model, params)
         unit = jax.tree.unflatten(jax.tree.structure(low), parts)
         sent = jax.tree.map(lambda u, lo, hi: lo + 0.5 * (hi - lo) * (u + 1.0), unit, low, high)
-        if params.scales is None:
+        if params.ranges is None:
             return sent
         return jax.tree.map(jnp.clip, sent, *self.model.command_range(params.vehicle.constants))
 
@@ -125,22 +127,25 @@ class Race(Environment[RaceParams, RaceState]):
             the state before it, so that no NaN propagates; the outcome reports it.
         """
         params, model = params.on_track(state.track), self.model
-        flag = params.opaque_true
-        after = _simulate(self, params, state, action, flag=flag)
-        g = gate(params.track, state.target, flag=flag)
-        outcome = _outcome(self, Step(model, params, state, g, after), flag=flag)
+        opaque_true = params.opaque_true
+        after = _simulate(self, params, state, action, opaque_true=opaque_true)
+        g = gate(params.track, state.target, opaque_true=opaque_true)
+        step = Step(model, params, state, g, after)
+        outcome = _outcome(self, step, opaque_true=opaque_true)
         invalid = outcome.crashes[NOT_FINITE]
         drone = jax.tree.map(lambda new, old: jnp.where(invalid, old, new), after, state.drone)
         step = Step(model, params, state, g, drone, outcome, action)
         value = reward(step, self.user_terms)
-        following, battery = progressed(params, state, drone, outcome), state.battery
+        next_state, battery = advance_race(params, state, drone, outcome), state.battery
         if params.battery is not None and battery is not None:
             sent = self.command(params, action)
             battery = advance_battery(params.battery, battery, drone.actuators, sent)
         memories = advance_memories(self, step)
-        return following.replace(battery=battery, memories=memories), value, outcome
+        return next_state.replace(battery=battery, memories=memories), value, outcome
 
 
+# The static argument of these three is the whole race: JAX keeps the traces of equal arguments, and
+# races with a user's code differ by their ``code_version``.
 @materialized(static=1, gradients=True)
 def _numbers(race: Race, step: Step) -> list[jax.Array]:
     return race.layout.numbers(step)
@@ -181,13 +186,13 @@ def _simulate(race: Race, params: RaceParams, state: RaceState, action: jax.Arra
     return after.wrapped()
 
 
-def progressed(params: RaceParams, state: RaceState, drone: State, outcome: Outcome) -> RaceState:
-    """The race one step later: vehicle state, target, step count and gates passed."""
+def advance_race(params: RaceParams, state: RaceState, drone: State, outcome: Outcome) -> RaceState:
+    """The race one step later: vehicle state, target, clock and gates passed."""
     one = outcome.passed.astype(jnp.int32)
-    advanced = state.target + one
-    target = jnp.where(advanced == gate_count(params.track), 0, advanced)
+    next_target = state.target + one
+    target = jnp.where(next_target == gate_count(params.track), 0, next_target)
     passed = state.gates_passed + one
-    return state.replace(drone=drone, target=target, step=state.step + 1, gates_passed=passed)
+    return state.replace(drone=drone, target=target, clock=state.clock + 1, gates_passed=passed)
 
 
 def without_training_limits(model: VehicleModel, params: RaceParams) -> RaceParams:

@@ -90,7 +90,7 @@ def reset(environment: "Race", params: RaceParams, key: jax.Array) -> RaceState:
         race = hover_start(environment, params, state, draw(race_key, 3))
         used = functools.partial(jnp.where, jax.random.uniform(used_key) < ranges.race)
         state = jax.tree.map(used, race, state)
-    return state.replace(step=clock, track=track)
+    return state.replace(clock=clock, track=track)
 
 
 def _draw_constants(

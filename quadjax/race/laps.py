@@ -69,7 +69,7 @@ def starting_states(
     def one(key: jax.Array) -> RaceState:
         start = episode.reset(environment, params, key)
         if not from_hover:
-            return start.replace(step=jnp.zeros((), jnp.int32))
+            return start.replace(clock=jnp.zeros((), jnp.int32))
         stream = jax.random.fold_in(key, episode.AROUND_HOVER_STREAM)
         moved = episode.draw(stream, 3) if around else None
         return episode.hover_start(environment, params, start, moved)
@@ -89,14 +89,14 @@ def advance(
     last: int | None = None,
 ) -> LapState:
     """One step of one drone; see ``count_laps``."""
-    following, _, outcome = environment.transition(params, race.state, action)
+    next_state, _, outcome = environment.transition(params, race.state, action)
     gates = gate_count(params.track)
-    return count_laps(race, following, outcome, params.rules.time_step, gates, last)
+    return count_laps(race, next_state, outcome, params.rules.time_step, gates, last)
 
 
 def count_laps(
     race: LapState,
-    following: RaceState,
+    next_state: RaceState,
     outcome: Outcome,
     dt: Scalar,
     gates: int,
@@ -104,10 +104,10 @@ def count_laps(
 ) -> LapState:
     """One drone's race after a step of ``dt`` () s: its laps, whether it is over, and why.
 
-    A race that is over does not change. ``following`` is the state after the step. It ends within a
-    lap after the ``last`` gate, or with a lap of ``gates``.
+    A race that is over does not change. ``next_state`` is the state after the step. The race ends
+    within a lap after the ``last`` gate, or with a lap of ``gates``.
     """
-    passed = following.gates_passed
+    passed = next_state.gates_passed
     lap, complete = (passed - 1) // gates, passed % gates == 0
     if last is not None:
         complete = complete | (passed == last)
@@ -115,18 +115,18 @@ def count_laps(
         complete, lap = outcome.finished, jnp.zeros_like(lap)
     ended = (passed > race.state.gates_passed) & complete & ~race.over
     # A start in the middle of the track has its lap where its gates add up to one.
-    now = jnp.asarray(following.step, jnp.result_type(dt)) * dt
+    now = jnp.asarray(next_state.clock, jnp.result_type(dt)) * dt
     lap_end = jnp.where(ended & (jnp.arange(race.lap_end.shape[0]) == lap), now, race.lap_end)
     crashed = outcome.crashed & ~race.over
     code = jnp.where(crashed, outcome.crash_code, race.crash_code)
     over = race.over | crashed | (lap_end[-1] > 0)
-    state = jax.tree.map(lambda new, old: jnp.where(race.over, old, new), following, race.state)
+    state = jax.tree.map(lambda new, old: jnp.where(race.over, old, new), next_state, race.state)
     return LapState(state, lap_end, over, code)
 
 
 def begin(state: RaceState, laps: int) -> LapState:
     """Drones before a race of some laps, batched along the last axis."""
-    runs = state.step.shape[-1]
+    runs = state.clock.shape[-1]
     none = jnp.zeros(runs, bool), jnp.zeros(runs, jnp.int32)
     return LapState(state, jnp.zeros((laps, runs)), *none)
 
@@ -162,9 +162,9 @@ def fly_race(
         return race, None
 
     def record(carry: Carry, _: None) -> tuple[Carry, Any]:
-        following, action = one(carry)
+        after, action = one(carry)
         recorder = trace if callable(trace) else _trace
-        return following, recorder(environment, params, carry[0], action)
+        return after, recorder(environment, params, carry[0], action)
 
     (race, _), recorded = jax.lax.scan(record, carry, None, steps)
     return race, recorded
@@ -275,7 +275,7 @@ def laps_of(environment: Race, race: LapState, dt: float, limit: float) -> Laps:
     crashes = [reasons[code] for code in np.asarray(race.crash_code)]
     for run in np.flatnonzero(~np.isfinite(completed[:, -1])):
         crashes[run] = crashes[run] or OUT_OF_TIME
-    seconds = np.asarray(race.state.step, np.float64) * dt
+    seconds = np.asarray(race.state.clock, np.float64) * dt
     return Laps(times, tuple(crashes), seconds, limit)
 
 

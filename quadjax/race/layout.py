@@ -35,12 +35,14 @@ class ObservedField:
         size: number of scalars.
         unit: unit of the numbers before they are scaled.
         frame: "gate" (x through the target gate, y to its right, z down), "body" or "".
-        range: largest magnitude of a network input, a power of two: the default of the export.
+        range: largest magnitude of a network input, after scaling, a power of two: the default of
+            the export to fixed point.
         value: ``(step) -> numbers``, each (), pure; None in the layout of a file.
         scale: ``(model, params) -> (lowest, highest)`` that are scaled to -1 and 1; a lowest of
             None is minus the highest, and a range of zero width gives zero. None: not scaled.
         source: where the numbers of a disturbance come from: ground_truth, estimated or none.
-        span: the numbers of ``scale``, one pair for each; None where unknown or not scaled.
+        span: what ``scale`` gave in the race of the policy, one pair for each number, as a policy
+            file stores it; None where unknown or not scaled.
         by_rotor: whether the numbers are one for each rotor: front-left, front-right, rear-right,
             rear-left. ``quadjax import --motors`` reorders them.
         memory: what ``value`` reads in ``step.memories``, if it needs a memory of the user's own.
@@ -143,12 +145,12 @@ class Layout:
         return slice(start, start + self[name].size)
 
     def numbers(self, step: Step) -> list[jax.Array]:
-        """All numbers of one observation, each (), scaled by ``params.scales`` if there are any."""
+        """All numbers of one observation, each (), scaled by ``params.ranges`` if there are any."""
         numbers: list[jax.Array] = []
         for field in self.fields:
             ends, place = None, slice(len(numbers), len(numbers) + field.size)
-            if (scales := step.params.scales) is not None:
-                ends = scales.observed[0][place], scales.observed[1][place]
+            if (ranges := step.params.ranges) is not None:
+                ends = ranges.observed[0][place], ranges.observed[1][place]
             numbers += field.numbers(step, ends)
         return numbers
 

@@ -122,16 +122,16 @@ def _highest_rpm(source: Source, step: Step) -> Numbers:
     return (jnp.minimum(limit, params.estimator.highest),)
 
 
-# Scales: of the nominal drone, as drawn constants are not known to a policy.
+# What fields are scaled by: ranges of the nominal drone, as a policy does not know drawn constants.
 
 
 def command_range(model: VehicleModel, params: RaceParams) -> Bounds:
     """The lowest and highest command, which actions of -1 and 1 stand for."""
     ends = model.command_range(params.vehicle.constants)
-    if params.scales is None:
+    if params.ranges is None:
         return ends
     kind, count = jax.tree.structure(ends[0]), model.action_size
-    low, high = ([end[i] for i in range(count)] for end in params.scales.commanded)
+    low, high = ([end[i] for i in range(count)] for end in params.ranges.commanded)
     return jax.tree.unflatten(kind, low), jax.tree.unflatten(kind, high)
 
 

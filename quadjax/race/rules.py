@@ -239,7 +239,7 @@ def evaluate_rules(step: Step, user_rules: UserFunctions = ()) -> Outcome:
     params, state, terminations = step.params, step.state, terminations_of(user_rules)
     flags = {name: row.applies(step) for name, row in terminations.items()}
     crashes = {name: flag for name, flag in flags.items() if flag is not None}
-    truncated = state.step + 1 >= params.training_limits.episode_steps
+    truncated = state.clock + 1 >= params.training_limits.episode_steps
     outcome = Outcome(pass_or_hit(step)[0], crashes, truncated, names=tuple(terminations))
     going = ~outcome.crashed
     outcome = outcome.replace(passed=outcome.passed & going, truncated=truncated & going)

@@ -49,9 +49,9 @@ class RaceParams(struct.PyTreeNode):
     estimator: EstimatorParams | None = None  # where the observation is estimated
     battery: Battery | None = None  # where it limits the commands
     delay: tuple[jax.Array, jax.Array] | None = None  # s, of commands: lowest and highest
-    scales: "Scales | None" = None  # of a policy; None: those of the race's own vehicle
+    ranges: "PolicyRanges | None" = None  # None: those of the race's own vehicle
     observation_scale: jax.Array | None = None  # (layout.size,), in training; None: not scaled
-    # () bool that is true; see ``quadjax.core.materialize``. None: nothing is materialized.
+    # () bool that is true, for the speed on CPUs only; see ``quadjax.core.materialize``.
     opaque_true: jax.Array | None = None
 
     def on_track(self, track: Track | None) -> "RaceParams":
@@ -76,7 +76,7 @@ def describe_dependents(key: str, *, random_tracks: bool, battery: bool) -> str:
     return ""
 
 
-class Scales(struct.PyTreeNode):
+class PolicyRanges(struct.PyTreeNode):
     """The ranges that a policy scales to [-1, 1], lowest and highest: those of its training."""
 
     observed: tuple[jax.Array, jax.Array]  # (layout.size,) each; no effect on what is not scaled
@@ -88,7 +88,7 @@ class RaceState(struct.PyTreeNode):
 
     drone: State  # of the vehicle model
     target: jax.Array  # () int32, index of the gate to pass next
-    step: jax.Array  # () int32, steps since the episode began
+    clock: jax.Array  # () int32, steps since the episode began
     gates_passed: jax.Array  # () int32
     constants: Constants | None  # of this episode, where they are drawn; else None
     # Values of ``quadjax.race.memory``, by name.

@@ -45,7 +45,7 @@ class VehicleParams(struct.PyTreeNode):
     Attributes:
         constants: constants of the model.
         residual: a learned correction of the equations, where the model takes one.
-        opaque_true: () bool with which a model computes values once; see
+        opaque_true: () bool, which affects the speed on CPUs only and can be ignored; see
             ``quadjax.core.materialize``. None: plain functions.
     """
 
@@ -184,8 +184,8 @@ class VehicleModel:
     def derivative(self, params: VehicleParams, state: State, command: Command) -> State:
         """The time derivative of a state under a command, as a state."""
         c, actuators = params.constants, state.actuators
-        a = attitude(state.attitude, flag=params.opaque_true)
-        velocity = world_to_body(a, state.velocity, flag=params.opaque_true)
+        a = attitude(state.attitude, opaque_true=params.opaque_true)
+        velocity = world_to_body(a, state.velocity, opaque_true=params.opaque_true)
         rate = self.actuator_rate(c, actuators, command)
         body = BodyState(velocity, state.rates, actuators, rate)
         force, moment = self.force_moment(params, body)

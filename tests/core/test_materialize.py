@@ -18,9 +18,11 @@ def once(x, y):
 CALLERS = {
     "materialize": lambda function, on, *arguments: materialize(function(*arguments), on),
     "materialize_cotangent": lambda function, on, x, y: function(materialize_cotangent(x, on), y),
-    "with gradients": lambda f, flag, *x: materialized(gradients=True)(f)(*x, flag=flag),
-    "forward": lambda f, flag, *x: materialized()(f)(*x, flag=flag),
-    "static": lambda f, flag, *x: materialized(static=1)(lambda g, *x: g(*x))(f, *x, flag=flag),
+    "with gradients": lambda f, flag, *x: materialized(gradients=True)(f)(*x, opaque_true=flag),
+    "forward": lambda f, flag, *x: materialized()(f)(*x, opaque_true=flag),
+    "static": lambda f, flag, *x: materialized(static=1)(lambda g, *x: g(*x))(
+        f, *x, opaque_true=flag
+    ),
     "without a flag": lambda f, _, *arguments: materialized()(f)(*arguments),
 }
 
@@ -60,7 +62,7 @@ def test_a_function_is_traced_once_for_all_programs_with_equal_static_arguments(
         return factor * x
 
     for last in (3.0, 5.0):
-        program = jax.jit(lambda on, x, last=last: last * scale(2.0, x, flag=on))
+        program = jax.jit(lambda on, x, last=last: last * scale(2.0, x, opaque_true=on))
         assert program(jnp.asarray(True), 1.5) == last * 3.0
     assert len(calls) == 1
-    assert jax.jit(lambda on, x: scale(4.0, x, flag=on))(jnp.asarray(True), 1.5) == 6.0
+    assert jax.jit(lambda on, x: scale(4.0, x, opaque_true=on))(jnp.asarray(True), 1.5) == 6.0

@@ -30,7 +30,7 @@ def make(policy, *overrides: str):
 def test_equal_ranges_change_no_bit():
     environment, params, _ = make(random_policy())
     state = episode.hover_start(environment, params)
-    own, action = params.replace(scales=None), jnp.array([-1.0, -0.3, 0.2, 1.0])
+    own, action = params.replace(ranges=None), jnp.array([-1.0, -0.3, 0.2, 1.0])
     seen = [np.asarray(environment.observation(x, state)) for x in (params, own)]
     np.testing.assert_array_equal(*seen)
     sent = [jax.tree.leaves(environment.command(x, action)) for x in (params, own)]
@@ -83,7 +83,7 @@ def test_disturbances_are_seen_in_the_policys_scale():
         observed = environment.observation(params, state.replace(drone=met))
         np.testing.assert_allclose(observed[20:], [2.0, -0.5, 0.0, -0.5], rtol=1e-6)
     _, params, _ = make(random_policy(), "disturbance.moment_x=0.04")  # a policy without widths
-    low, high = params.scales.observed
+    low, high = params.ranges.observed
     assert float(high[20]) == np.float32(0.04) == -float(low[20]) and float(high[23]) == 0.0
 
 

@@ -120,7 +120,7 @@ def test_the_last_action_is_the_command_of_the_step_before():
             (before.race.state.memories[LAST_ACTION], jax.tree.map(lambda x: x[0], frame.command))
         )
     action, command = jax.tree.map(lambda *x: np.stack(x), *kept)
-    low, high = (np.asarray(end)[:, None] for end in plan.race.scales.commanded)
+    low, high = (np.asarray(end)[:, None] for end in plan.race.ranges.commanded)
     given = 2.0 * (np.stack(jax.tree.leaves(command), 1) - low) / (high - low) - 1.0
     assert not np.any(np.stack(action, 1)[0])
     np.testing.assert_allclose(np.stack(action, 1)[1:], given[:-1], atol=1e-5)

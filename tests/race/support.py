@@ -59,13 +59,13 @@ def track_of(
         return make_track(TrackSection(gates=sections, closed=closed))
 
 
-def race_state(kind: str, rows: np.ndarray, target: object = 0, step: object = 0) -> RaceState:
+def race_state(kind: str, rows: np.ndarray, target: object = 0, clock: object = 0) -> RaceState:
     """States of rows of drones on their way to ``target``."""
     count = len(rows)
     return RaceState(
         drone=state_of(kind, np.asarray(rows, np.float32)),
         target=np.broadcast_to(target, count).astype(np.int32),
-        step=np.broadcast_to(step, count).astype(np.int32),
+        clock=np.broadcast_to(clock, count).astype(np.int32),
         gates_passed=np.zeros(count, np.int32),
         constants=None,
     )

@@ -131,6 +131,35 @@ def test_a_model_of_the_user_is_traced_again():
     assert np.abs(seen[0] - seen[1]).max() > 0.1
 
 
+CEILING_M = [2.0]  # which the tests change between two races
+
+
+def own_ceiling(step):
+    return step.position.z < -CEILING_M[0]
+
+
+def own_height(step):
+    return (-step.position.z / CEILING_M[0],)
+
+
+OWN_HEIGHT = ObservedField("own_height", 1, "", "", value=own_height)
+
+
+def test_functions_of_the_user_are_traced_again():
+    name = "tests.race.test_extensions"
+    rows, seen = level([ref.GATES[3] + [0, 0, -1.0]], np.zeros(1)), []
+    for CEILING_M[0] in (1.0, 4.0):
+        race = make_race(
+            f"observation.extra=[{name}:OWN_HEIGHT]", f"rules.extra=[{name}:own_ceiling]"
+        )
+        _, _, outcome = step(race, rows)
+        observed = by_rows(race[0].observation)(race[1], race_state("motor", rows))
+        seen.append(
+            (float(observed[0, -1]), bool(outcome.crashes[f"ended by {name}:own_ceiling"][0]))
+        )
+    assert seen[0][0] == pytest.approx(4 * seen[1][0]) and [x[1] for x in seen] == [True, False]
+
+
 def height(view):
     return (-view.drone.position.z,)
 

@@ -75,7 +75,7 @@ def test_passing_advances_the_target_and_wraps_round(race):
     following, value, outcome = step(race, rows, target, clock=7)
     assert np.all(outcome.passed) and not np.any(outcome.crashed | outcome.truncated)
     np.testing.assert_array_equal(following.target, (target + 1) % 4)
-    assert set(following.gates_passed) == {1} and set(following.step) == {8}
+    assert set(following.gates_passed) == {1} and set(following.clock) == {8}
     np.testing.assert_allclose(value, 10 - 10 * np.linalg.norm([0.03, 0.1, 0.2]), atol=1e-4)
 
 

@@ -80,7 +80,7 @@ def test_ranges(case):
     random = rows[:, rows.std(axis=0) > 0]
     assert np.abs(np.corrcoef(random.T) - np.eye(random.shape[1])).max() < 0.08  # independent
     assert case == "disturbances" or not rows[:, 16:].any()
-    for count in (state.target, state.step, state.gates_passed):
+    for count in (state.target, state.clock, state.gates_passed):
         assert count.dtype == np.int32 and not count.any()
     assert state.constants is None
 
@@ -147,7 +147,7 @@ def test_hover_start():
         np.testing.assert_array_equal(row[[3, 4, 5, 6, 7, 9, 10, 11]], 0.0)
         assert row[8] == pytest.approx(0.0, abs=1e-6)  # the first gate is straight north
         np.testing.assert_allclose(row[12 : 16 if kind == "motor" else 13], actuators, rtol=1e-4)
-        assert state.target == 0 and state.step == 0 and state.gates_passed == 0
+        assert state.target == 0 and state.clock == 0 and state.gates_passed == 0
     begin = hover_state(make_race("track.start={position: [0, 1, -2], yaw_deg: 200}")).drone
     np.testing.assert_allclose(begin.position.array(), [0, 1, -2])
     np.testing.assert_allclose(begin.euler.array(), [0, 0, np.radians(-160)], atol=1e-6)
@@ -175,9 +175,9 @@ def test_starts_along_the_way_to_the_next_gate_at_any_time():
         assert distance.max() < 1e-3
         found.append(parts[nearest])
     spans(np.concatenate(found)[:, None], [0.0], [0.8])
-    spans(state.step[:, None], [0.0], [1200.0])
+    spans(state.clock[:, None], [0.0], [1200.0])
     for other in (state.target, rows[:, 8]):
-        assert abs(np.corrcoef(state.step, other)[0, 1]) < 0.08
+        assert abs(np.corrcoef(state.clock, other)[0, 1]) < 0.08
 
 
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.3, 0.5)])
