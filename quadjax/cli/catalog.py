@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.config.layers import OVERRIDES, file_values
-from quadjax.config.loading import load_config, load_with_units
+from quadjax.config.loading import load_config
 from quadjax.config.reference import commented_yaml
 from quadjax.config.reference import describe as describe_keys
+from quadjax.config.scales import WithUnit
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import whole_file
@@ -114,7 +115,8 @@ def describe(what: str, overrides: Sequence[str] = (), model_name: str | None = 
     kind = "vehicle" if model_name else find_kind(what)
     if kind in SCHEMAS:
         if kind == "config":
-            text = commented_yaml(*load_with_units(what, overrides))
+            units: WithUnit = {}
+            text = commented_yaml(load_config(what, overrides, units_written=units), units)
         else:
             text = commented_yaml(SCHEMAS[kind][1](what, overrides))
         return text.rstrip("\n")

@@ -57,8 +57,8 @@ def config_layers(path: Path, parts: Sequence[str], overrides: Sequence[str]) ->
 def override_layers(overrides: Sequence[str], folder: Path) -> list[Layer]:
     """The layers of overrides, the lowest first; files are also found in ``folder``."""
     over = parse_overrides([_expand(override) for override in overrides])
-    written = [override.partition("=")[0] for override in overrides]
-    return _with_files(OVERRIDES, over, [Path(), folder], written)
+    keys = [override.partition("=")[0] for override in overrides]
+    return _with_files(OVERRIDES, over, [Path(), folder], keys)
 
 
 def _find_part(name: str, config: Path, presets: Sequence[str]) -> Path:
@@ -146,7 +146,7 @@ def file_values(section: str, path: Path) -> Tree:
     return {section: values, **rules}
 
 
-def without_replaced(tree: Tree, over: Tree, source: str) -> Tree:
+def drop_replaced(tree: Tree, over: Tree, source: str) -> Tree:
     """A tree without the values that a layer replaces as a whole.
 
     Constants of the earlier model move to ``vehicle.models``. Gates replace a random track, and a

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from quadjax.config.checks import check
-from quadjax.config.layers import LEARNERS, config_layers, override_layers, without_replaced
+from quadjax.config.layers import LEARNERS, config_layers, drop_replaced, override_layers
 from quadjax.config.scales import WithUnit, in_plain_units
 from quadjax.config.schema import Config, Rules, Vehicle
 from quadjax.core.errors import InputError, close_match, prefixed
@@ -31,15 +31,13 @@ CODE = [  # sections and keys whose values may be module:OBJECT
     if Code() in field.metadata
 ]
 
-# Numbers without an effect at 0, which is null there: no body, no frames, ..
-OFF_AT_ZERO = (
-    *("rules.body_radius", "rules.gate_frame", "start.along_leg"),
-    *("reward.distance", "reward.action_change"),
-)
-
 
 def load_config(
-    config: Path | str, overrides: Sequence[str] = (), *, code: Collection[str] | None = None
+    config: Path | str,
+    overrides: Sequence[str] = (),
+    *,
+    code: Collection[str] | None = None,
+    units_written: WithUnit | None = None,
 ) -> Config:
     """A training config, complete and checked.
 
@@ -54,17 +52,11 @@ def load_config(
             path. Overrides with ``=`` are merged over all parts.
         code: names ``module:OBJECT`` that may be imported; None: all. Empty for a file that the
             user did not name as a config, such as the ``config.yaml`` of a folder.
+        units_written: gets the numbers that are in units of the race in the files.
 
     Raises:
         InputError: one line that names the file, the key, the value and what is allowed.
     """
-    return load_with_units(config, overrides, code=code)[0]
-
-
-def load_with_units(
-    config: Path | str, overrides: Sequence[str] = (), *, code: Collection[str] | None = None
-) -> tuple[Config, WithUnit]:
-    """As ``load_config``, with the numbers that are in units of the race in the files."""
     name, *more = [str(config)] if os.path.exists(config) else SEPARATOR.split(str(config))
     overrides = [*more, *overrides]
     path = find_config(name)
@@ -73,11 +65,12 @@ def load_with_units(
     layers = config_layers(path, parts, changes)
     for source, layer in layers if code is not None else ():
         _refuse_code(layer, str(source), code or ())
-    tree, sources = merge_layers(layers, path, without_replaced)
+    tree, sources = merge_layers(layers, path, drop_replaced)
     for key, file in list(sources.files.items()):
         if key.startswith("vehicle.models."):  # where constants are until the model is known
             sources.files.setdefault(f"vehicle.constants.{key.rpartition('.')[2]}", file)
-    return _config_of(_with_opening(generated(tree, sources), sources), sources)
+    tree = _with_opening(generate_track(tree, sources), sources)
+    return parse_config(tree, sources, units_written)
 
 
 load = load_config  # its name in the public interface
@@ -93,13 +86,13 @@ def with_track(config: Config, file: str) -> Config:
     """
     whole = config.model_dump(mode="json", by_alias=True)
     layers = [("config", whole), *override_layers([f"track.file={file}"], Path())]
-    tree, sources = merge_layers(layers, "config", without_replaced)
+    tree, sources = merge_layers(layers, "config", drop_replaced)
     if tree["track"].get("closed") is False:
         tree["evaluate"] |= {"laps": 1, "gates": None}
-    return parse_config(_with_opening(generated(tree, sources), sources), sources)
+    return parse_config(_with_opening(generate_track(tree, sources), sources), sources)
 
 
-def generated(tree: Tree, sources: Sources) -> Tree:
+def generate_track(tree: Tree, sources: Sources) -> Tree:
     """A tree with the gates of the random track that it asks for, and its rules below those of it.
 
     Raises:
@@ -134,7 +127,7 @@ def _with_opening(tree: Tree, sources: Sources) -> Tree:
     track = validate(TrackSection, section, sources, "track.")
     opening, frame = track.opening or 0.0, validate(Rules, rules, sources, "rules.").gate_frame
     gates = [{**gate, "size": [opening, opening]} for gate in section["gates"]]
-    if frame:  # not null, and not the 0 that is read as null
+    if frame is not None:
         sizes = sorted({side for gate in track.gates for side in gate.size})
         outer = sizes[0] + 2.0 * frame
         allowed = f"at most {outer:g}, the outer edge of the frames"
@@ -147,26 +140,25 @@ def _with_opening(tree: Tree, sources: Sources) -> Tree:
     return {**tree, "track": {**section, "gates": gates, "opening": None}, "rules": rules}
 
 
-def parse_config(tree: Tree, source: str | Sources) -> Config:
+def parse_config(
+    tree: Tree, source: str | Sources, units_written: WithUnit | None = None
+) -> Config:
     """The config of a complete tree, such as the one in a policy file.
 
     Args:
         tree: plain values, as in a file. Keys that have a default may be missing.
         source: the file of the tree, or of each value, for messages.
+        units_written: gets the numbers that are in units of the race in the tree.
 
     Raises:
         InputError: a key or a value that is not allowed.
     """
-    return _config_of(tree, source)[0]
-
-
-def _config_of(tree: Tree, source: str | Sources) -> tuple[Config, WithUnit]:
-    """The config of a complete tree, and its numbers in units of the race."""
+    units_written = {} if units_written is None else units_written
     with one_line_errors(source):
         schema = _learner_schema(tree.get("learner", {}))
         vehicle = validate(Vehicle, tree.get("vehicle", {}), source, prefix="vehicle.")
-        tree = _null_is_off({**tree, "vehicle": _with_constants(vehicle)})
-        tree, written = in_plain_units(tree, schema)
+        tree = {**tree, "vehicle": _with_constants(vehicle)}
+        tree = in_plain_units(tree, schema, units_written)
         schedules = {} if tree.get("schedules") is None else tree["schedules"]
         if isinstance(schedules, dict):  # null removes a schedule; schedules=null removes all
             schedules = {key: value for key, value in schedules.items() if value is not None}
@@ -174,17 +166,7 @@ def _config_of(tree: Tree, source: str | Sources) -> tuple[Config, WithUnit]:
         tree = {**tree, "learner": learner, "schedules": schedules}
         config = validate(Config, tree, source)
         check(config)
-    return config, written
-
-
-def _null_is_off(tree: Tree) -> Tree:
-    """The tree with null for 0 in ``OFF_AT_ZERO``: one value for what has no effect."""
-    changed = {key: dict(x) if isinstance(x, Mapping) else x for key, x in tree.items()}
-    for section, name in (key.split(".") for key in OFF_AT_ZERO):
-        values = changed.get(section)
-        if isinstance(values, dict) and values.get(name) == 0:
-            values[name] = None
-    return changed
+    return config
 
 
 def stored_config(tree: Tree, file: str, code: Collection[str] = ()) -> Config:

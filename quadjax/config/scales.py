@@ -108,20 +108,17 @@ def race_scales(track: TrackSection, vehicle: Vehicle, time_step: float) -> Race
     )
 
 
-def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
+def in_plain_units(tree: Tree, learner: type[Section], units_written: WithUnit) -> Tree:
     """The tree of a config with a plain number in place of each number with a unit.
 
     Args:
         tree: of a whole config, with a ``Vehicle`` that has its constants.
         learner: the class of its section ``learner``.
-
-    Returns:
-        The tree, and the numbers with a unit.
+        units_written: gets the numbers with a unit.
 
     Raises:
         InputError: a unit that is not one of the key's unit, or an invalid track or vehicle.
     """
-    written: WithUnit = {}
 
     @functools.cache
     def scales() -> RaceScales:
@@ -139,11 +136,12 @@ def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
         if match is None or unit is None:
             return node
         value = float(match["number"]) * _size(dotted(location), match, unit, scales())
-        written[location] = (node, _in_unit(value, unit, scales().time_step))
-        return written[location][1]
+        plain = _in_unit(value, unit, scales().time_step)
+        units_written[location] = (node, plain)
+        return plain
 
     kept = ("track", "vehicle")  # which the units depend on
-    return {k: x if k in kept else convert(x, (k,)) for k, x in tree.items()}, written
+    return {k: x if k in kept else convert(x, (k,)) for k, x in tree.items()}
 
 
 def _unit_of(location: Location, learner: type[Section]) -> str | None:

@@ -37,7 +37,14 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn, Self, TypeVar
 
 import pydantic
-from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
@@ -82,6 +89,14 @@ def _pair(holds: Callable[[float, float], bool], allowed: str) -> AfterValidator
 
 ORDERED = _pair(operator.le, "[lowest, highest]")  # ``Annotated[tuple[float, float], ORDERED]``
 RISING = _pair(operator.lt, "[lowest, a larger highest]")
+
+
+def _null_at_zero(value: object) -> object:
+    return None if value == 0 and not isinstance(value, bool) else value
+
+
+# A number without an effect at 0, which is read as null: no body, no frames, ..
+OffAtZero = Annotated[float | None, BeforeValidator(_null_at_zero)]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -75,20 +75,20 @@ class Sources:
 def merge_layers(
     layers: Sequence[Layer],
     path: Path | str,
-    without_replaced: Callable[[Tree, Tree, str], Tree] = lambda tree, over, source: tree,
+    drop_replaced: Callable[[Tree, Tree, str], Tree] = lambda tree, over, source: tree,
 ) -> tuple[Tree, Sources]:
     """Trees merged in their order, and the source of each value.
 
     Args:
         layers: source and tree of each.
         path: of the config.
-        without_replaced: ``(tree, over, source) -> tree`` without the values that ``over``
+        drop_replaced: ``(tree, over, source) -> tree`` without the values that ``over``
             replaces.
     """
     tree: Tree = {}
     files: dict[str, str] = {}
     for source, over in layers:
-        tree = merge_trees(without_replaced(tree, over, str(source)), over)
+        tree = merge_trees(drop_replaced(tree, over, str(source)), over)
         keys = flatten(over)
         replaced = tuple(f"{key}." for key in keys)
         files = {name: file for name, file in files.items() if not name.startswith(replaced)}

@@ -7,7 +7,7 @@ The sections ``start``, ``disturbance`` and ``randomization`` of a config;
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from quadjax.core.sections import ORDERED, Field, Section, Unit
+from quadjax.core.sections import ORDERED, Field, OffAtZero, Section, Unit
 from quadjax.core.traced import register
 from quadjax.race.random_track import MAX_COORDINATE_M, RandomTracks
 from quadjax.vehicle.protocol import VehicleModel
@@ -31,7 +31,7 @@ class Start(Section):
     stagger_clocks: bool = Field(
         False, description="start at a random step of the episode's clock, so that resets spread"
     )
-    along_leg: float | None = Field(
+    along_leg: OffAtZero = Field(
         None,
         ge=0,
         le=1,

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.imports import user_numbers
-from quadjax.core.sections import Code, Field, Needs, Section, Unit
+from quadjax.core.sections import Code, Field, Needs, OffAtZero, Section, Unit
 from quadjax.core.traced import register
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.layout import LAST_ACTION
@@ -56,12 +56,16 @@ class Reward(Section):
         description="the penalty is constant from this clearance violation on, in each axis, m; at "
         "least to the edge of a widened opening",
     )
-    distance: Penalty | None = Field(
+    distance: OffAtZero = Field(
         None,
+        ge=0,
+        le=1e6,
         description="penalty per s and m of distance from the target gate's center; null: none",
     )
-    action_change: Penalty | None = Field(
+    action_change: OffAtZero = Field(
         None,
+        ge=0,
+        le=1e6,
         description="penalty per change of an action from step to step, each in -1 to 1, summed; "
         "null: none",
     )

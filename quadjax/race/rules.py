@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.imports import user_numbers
-from quadjax.core.sections import Code, Field, Needs, Section, Unit
+from quadjax.core.sections import Code, Field, Needs, OffAtZero, Section, Unit
 from quadjax.core.traced import register
 from quadjax.core.vectors import safe_norm
 from quadjax.race.openings import crossing, touches_frame
@@ -36,7 +36,7 @@ class Rules(Section):
         "(the paper), within a box along the world axes there (the authors' code), or within the "
         "opening where the line between two samples crosses the plane",
     )
-    body_radius: float | None = Field(
+    body_radius: OffAtZero = Field(
         None,
         ge=0,
         le=50,
@@ -61,7 +61,7 @@ class Rules(Section):
     ground_height: Annotated[float, Needs("rules.ground_speed")] = Field(
         0.4, ge=0, le=100, description="height below which ground_speed applies, m"
     )
-    gate_frame: float | None = Field(
+    gate_frame: OffAtZero = Field(
         None,
         ge=0,
         le=10,
