@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from quadjax.core.errors import INTERRUPTED, InputError, close_match, run_command
+from quadjax.core.errors import INTERRUPTED, InputError, as_command, close_match
 from quadjax.core.interruptions import loading, repeat_lost
 
 if TYPE_CHECKING:
@@ -74,12 +74,9 @@ def prepare_process() -> None:
             stream.reconfigure(errors="replace")
 
 
-def run(argv: list[str]) -> int:
+@as_command
+def run(argv: list[str]) -> int | None:
     """Import and run the subcommand of a command line; returns the exit status."""
-    return run_command(lambda: _run(argv))
-
-
-def _run(argv: list[str]) -> int | None:
     if not argv or argv[0] in ("-h", "--help", "help"):
         print(usage())
         return 0 if argv else 2
@@ -140,7 +137,7 @@ def script(command: Callable[..., int | None]) -> NoReturn:
     """Run a function as a script with the arguments of the command line, and exit."""
     name = f"python {sys.argv[0]}"
     prepare_process()
-    sys.exit(run_command(lambda: call(command, name, sys.argv[1:])))
+    sys.exit(as_command(call)(command, name, sys.argv[1:]))
 
 
 def application(command: Callable[..., Any], name: str) -> "App":

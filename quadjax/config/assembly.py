@@ -188,7 +188,10 @@ def make_race(config: Config | Path | str) -> tuple[Race, RaceParams]:
         config: a config, a preset's name or a YAML file.
 
     Returns:
-        The environment (``reset``, ``observe``, ``step``), and the ``params`` that it takes.
+        The environment (``reset``, ``observe``, ``step``), and the ``params`` that it takes. With
+        ``network.normalize`` or ``observation.critic_constants``, ``quadjax.train`` trains another
+        observation: scaled to the default race, or followed by the drawn constants for the critic.
+        ``quadjax.training.build.make_training(config)[0].task`` is what it trains.
 
     Raises:
         InputError: a config or a file of it that cannot be used.

@@ -2,6 +2,7 @@
 
 import contextlib
 import difflib
+import functools
 import json
 import os
 import re
@@ -11,8 +12,9 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec
 
+Arguments = ParamSpec("Arguments")
 INTERRUPTED = 130  # exit status after Ctrl-C
 BAD_INPUT = 2  # exit status after bad input and after system errors
 MAX_LINE = 1000  # characters of a message that a command prints
@@ -125,35 +127,40 @@ def reading(path: Path | str) -> Iterator[None]:
         raise InputError(f"{path}: cannot be read ({error})") from error
 
 
-def run_command(main: Callable[[], int | None]) -> int:
-    """Run the main function of a command and return its exit status.
+def as_command(main: Callable[Arguments, int | None]) -> Callable[Arguments, int]:
+    """A decorator of the main function of a command, which then returns its exit status.
 
     Bad input and system errors (disk full, no permission, no memory) are printed as one line on
     stderr. Every other exception is a fault of the program, or of a user's own module, and is
     raised with its traceback.
     """
-    try:
-        with _printed_warnings():
-            status = main()
-        if sys.stdout is not None:  # None if the caller has closed it
-            sys.stdout.flush()
-        return status or 0
-    except BrokenPipeError:
-        # The reader (head, less) has exited. Nothing may be printed at exit either.
-        with contextlib.suppress(OSError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return INTERRUPTED
-    except Exception as error:
-        line = error_line(error)
-        if line is None or os.environ.get(DEBUG):
-            raise
-        line = PASSWORD.sub(r"\1***", line)
-        line = re.sub(r"\S{201,}", lambda word: f"{word[0][:50]}...{word[0][-50:]}", line)
-        print(f"error: {short(line, MAX_LINE, str)}", file=sys.stderr)
-        return BAD_INPUT
+
+    @functools.wraps(main)
+    def command(*args: Arguments.args, **kwargs: Arguments.kwargs) -> int:
+        try:
+            with _printed_warnings():
+                status = main(*args, **kwargs)
+            if sys.stdout is not None:  # None if the caller has closed it
+                sys.stdout.flush()
+            return status or 0
+        except BrokenPipeError:
+            # The reader (head, less) has exited. Nothing may be printed at exit either.
+            with contextlib.suppress(OSError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 1
+        except KeyboardInterrupt:
+            print("interrupted", file=sys.stderr)
+            return INTERRUPTED
+        except Exception as error:
+            line = error_line(error)
+            if line is None or os.environ.get(DEBUG):
+                raise
+            line = PASSWORD.sub(r"\1***", line)
+            line = re.sub(r"\S{201,}", lambda word: f"{word[0][:50]}...{word[0][-50:]}", line)
+            print(f"error: {short(line, MAX_LINE, str)}", file=sys.stderr)
+            return BAD_INPUT
+
+    return command
 
 
 def user_error(error: BaseException) -> str:

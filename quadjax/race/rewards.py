@@ -1,5 +1,6 @@
 """The reward: the table ``REWARDS`` of its terms, their weights, and how they are combined."""
 
+import collections
 import functools
 from collections.abc import Callable
 from typing import Annotated, Literal, NamedTuple
@@ -195,14 +196,11 @@ def reward(step: Step, user: UserFunctions = ()) -> jax.Array:
     terms = REWARDS | {name: checked(name, term) for name, term in user}
     assert outcome is not None
 
-    def total(when: str) -> Scalar:
-        value: Scalar = 0.0
-        for name, term in terms.items():
-            weight = getattr(section, name) if name in REWARDS else section.terms.get(name)
-            if term.when == when and weight is not None:
-                value = value + weight * term.value(step)
-        return value
-
-    value = jnp.where(outcome.passed, total("pass"), total("flight"))
-    value = jnp.where(outcome.crashed, total("crash"), value)
-    return value + total("any step") + step.time_step * total("per second")
+    totals: dict[str, Scalar] = collections.defaultdict(float)  # by ``Term.when``
+    for name, term in terms.items():
+        weight = getattr(section, name) if name in REWARDS else section.terms.get(name)
+        if weight is not None:
+            totals[term.when] = totals[term.when] + weight * term.value(step)
+    value = jnp.where(outcome.passed, totals["pass"], totals["flight"])
+    value = jnp.where(outcome.crashed, totals["crash"], value)
+    return value + totals["any step"] + step.time_step * totals["per second"]

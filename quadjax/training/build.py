@@ -84,10 +84,13 @@ def make_training(config: Config) -> tuple[Training, Plan]:
         What the run repeats, and how its steps are divided.
 
     Raises:
-        InputError: a schedule of a key that sets no number of the run.
+        InputError: a schedule of a key that sets no number of the run, or a residual file that
+            cannot be read.
     """
-    params, network = training_params(config), make_network(config)
-    task = Task.of(training_environment(config), network, params)
+    scale = input_scale(config)
+    factors = jnp.asarray(scale, jnp.float32) if scale else None
+    params = make_params(config).replace(observation_scale=factors)
+    task = Task.of(training_environment(config), make_network(config), params)
     plan = config.learner.plan(config.run.steps, config.run.evaluate_every)
     return Training(as_leaves(config.learner), task).with_schedules(
         config.schedules,
@@ -96,17 +99,6 @@ def make_training(config: Config) -> tuple[Training, Plan]:
         config.run.steps,
         config.curriculum,
     ), plan
-
-
-def training_params(config: Config) -> RaceParams:
-    """Every number of the race in training, with the factors of ``input_scale``.
-
-    Raises:
-        InputError: a residual file that cannot be read.
-    """
-    scale = input_scale(config)
-    factors = jnp.asarray(scale, jnp.float32) if scale else None
-    return make_params(config).replace(observation_scale=factors)
 
 
 def start_state(config: Config, training: Training, initial: Policy | None = None) -> TrainState:

@@ -17,7 +17,7 @@ import pytest
 import quadjax
 from quadjax.cli import call
 from quadjax.cli.output import resuming_command
-from quadjax.core.errors import InputError, run_command, warn
+from quadjax.core.errors import InputError, as_command, warn
 from quadjax.core.imports import load_object, user_numbers
 from quadjax.core.interruptions import interruptions, repeat_lost
 from quadjax.core.resources import policy_names, preset_names
@@ -99,7 +99,7 @@ def test_a_warning_is_printed_once_for_each_text(capsys):
             with warnings.catch_warnings():
                 warnings.simplefilter("error", DeprecationWarning)
 
-    assert run_command(main) == 0
+    assert as_command(main)() == 0
     assert capsys.readouterr().err == "warning: one\nwarning: two\n"
 
 
@@ -166,7 +166,7 @@ class JaxRuntimeError(RuntimeError):
     ids=lambda value: type(value).__name__,
 )
 def test_system_errors_are_one_line_and_status_2(error, says, capsys):
-    assert run_command(raising(error)) == 2
+    assert as_command(raising(error))() == 2
     text = capsys.readouterr().err
     assert says in text and text.count("\n") == 1
 
@@ -174,10 +174,10 @@ def test_system_errors_are_one_line_and_status_2(error, says, capsys):
 @pytest.mark.parametrize("kind", [KeyError, OverflowError, JaxRuntimeError])
 def test_faults_of_the_program_are_raised(monkeypatch, kind):
     with pytest.raises(kind):
-        run_command(raising(kind("x")))
+        as_command(raising(kind("x")))()
     monkeypatch.setenv("QUADJAX_DEBUG", "1")
     with pytest.raises(InputError):
-        run_command(raising(InputError("x")))
+        as_command(raising(InputError("x")))()
 
 
 REFUSED = {  # the command line refuses modules and names that do not exist
@@ -206,7 +206,7 @@ def test_an_error_in_a_user_s_module_names_its_line(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=f"{tmp_path / 'blames.py'}:2; QUADJAX_DEBUG=1"):
         user_numbers("term", wrong, None)
     with pytest.raises(ZeroDivisionError):
-        run_command(lambda: wrong(None))
+        as_command(wrong)(None)
 
 
 def test_the_first_sets_an_event_and_the_second_raises(capfd):

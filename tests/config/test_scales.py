@@ -11,7 +11,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.reference import commented_yaml
 from quadjax.config.scales import race_scales
 from quadjax.core.errors import InputError
-from quadjax.training.build import training_environment, training_params
+from quadjax.training.build import make_training
 
 NO_RATIO = "vehicle.model=tests.config.models:NO_RATIO"
 
@@ -135,7 +135,8 @@ SLOWER = (  # twice the time: half of every rate, twice every lag; accelerations
 
 def flight(config):
     """What a learner gets of 16 flights with random commands: inputs, rewards and ends."""
-    environment, params = training_environment(config), training_params(config)
+    task = make_training(config)[0].task
+    environment, params = task.environments.one, task.env_params
     keys = jax.random.split(jax.random.key(0), 16)
     actions = jax.random.uniform(jax.random.key(1), (180, 16, 4), minval=-1.0, maxval=1.0)
     over_drones = functools.partial(jax.vmap, in_axes=(None, 0))
