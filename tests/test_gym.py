@@ -15,7 +15,6 @@ from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
-from quadjax.core.traced import with_leaves
 
 gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not installed")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
@@ -33,7 +32,7 @@ def short():
     """A race of episodes of five steps."""
     environment, params = make_race(load_config(BLANK, REST))
     return environment, params.replace(
-        training_limits=with_leaves(params.training_limits, episode_steps=np.int32(5))
+        training_limits=params.training_limits.replace(episode_steps=np.int32(5))
     )
 
 
@@ -158,7 +157,7 @@ def test_a_truncation_is_no_crash_and_shows_where_it_ended():
 def test_a_crash_is_no_truncation():
     """Every start is beyond the limit of the position."""
     environment, params = short()
-    params = params.replace(rules=with_leaves(params.rules, position_limit=np.float32(0.01)))
+    params = params.replace(rules=params.rules.replace(position_limit=np.float32(0.01)))
     env = RaceVectorEnv(environment, params, N, "SameStep")
     env.reset(seed=0)
     _, reward, terminated, truncated, infos = env.step(hover())

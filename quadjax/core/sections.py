@@ -23,7 +23,7 @@ an ``int`` field takes ``2e6``, a ``tuple`` field takes a list (use ``tuple[floa
 than ``list``, so that sections stay hashable), a ``float`` field takes only finite numbers.
 ``X | None`` takes ``null``. A ``ValueError`` from a validator becomes the
 message of the ``InputError``; start it with the dotted key. ``section.replace(key=value)`` is a
-changed copy, validated again.
+changed copy, validated again unless the values are arrays.
 """
 
 import contextlib
@@ -177,11 +177,19 @@ class Section(pydantic.BaseModel):
     def replace(self, **changes: object) -> Self:
         """A copy with other values, validated as a whole.
 
+        Of a section of arrays, such as ``params.reward`` of a race, the names alone are checked:
+        the values are arrays, which may be traced.
+
         Raises:
             InputError: as ``validate``, of keys of this section.
         """
-        with one_line_errors(type(self).__name__):
-            return self.with_values(changes)
+        schema = type(self)
+        with one_line_errors(schema.__name__):
+            if not any(hasattr(value, "dtype") for value in vars(self).values()):
+                return self.with_values(changes)
+            for name in changes.keys() - schema.model_fields.keys():
+                raise _bad_value(schema, changes, [{"type": "extra_forbidden", "loc": (name,)}], "")
+            return self.model_copy(update=changes)
 
     def with_values(self, changes: Mapping[str, object], prefix: str = "") -> Self:
         """As ``replace``; an error names the key alone, after ``prefix``, such as ``"motors."``.

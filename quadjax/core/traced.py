@@ -54,11 +54,6 @@ def _leaf(number: float) -> jax.Array:
     return jnp.asarray(number, jnp.int32 if isinstance(number, int) else jnp.float32)
 
 
-def with_leaves(section: SectionType, **changes: Any) -> SectionType:
-    """A copy of a section of leaves with other leaves, which are not validated."""
-    return section.model_copy(update=changes)
-
-
 def _is_of_floats(hint: Any) -> bool:
     """Whether a type is float, or a union, a tuple or a mapping to such, also with None."""
     if hint in (float, types.NoneType, Ellipsis):

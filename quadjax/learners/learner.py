@@ -104,8 +104,8 @@ class Learner(Section):
 
     A learner is a pytree. In ``init`` and ``update``, its fields of ``float``, and of tuples and
     mappings of it, are arrays: other numbers do not trigger recompilation, and schedules can change
-    them. All others fix shapes or code, and so does None. ``replace`` validates, which is for
-    numbers: in an update, use ``quadjax.core.traced.with_leaves``.
+    them. All others fix shapes or code, and so does None. There ``replace`` takes arrays, and
+    does not validate.
 
     Both methods are pure functions of whole arrays. On several devices, ``TrainState.env_states``
     is split along its last axis, and the compiler divides the work that depends on it.

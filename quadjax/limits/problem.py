@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
 from quadjax.core.quaternion import Quaternion
-from quadjax.core.traced import with_leaves
 from quadjax.race.environment import Race, without_training_limits
 from quadjax.race.episode import hover_start
 from quadjax.race.rules import TAKEOFF_DEPTH_M
@@ -227,8 +226,8 @@ def make_problem(
     if math.isfinite(model.pitch_limit):
         model = model.with_options(quaternion=True)
     environment = dataclasses.replace(environment, model=model, integrator="rk4")
-    rules = with_leaves(params.rules, time_step=np.float64(TIME_STEP_S), gate_test="interpolated")
-    limits = with_leaves(params.training_limits, episode_steps=np.int32(10**9))
+    rules = params.rules.replace(time_step=np.float64(TIME_STEP_S), gate_test="interpolated")
+    limits = params.training_limits.replace(episode_steps=np.int32(10**9))
     params = params.replace(rules=rules, training_limits=limits)
     radius = 0.0 if rules.body_radius is None else float(rules.body_radius)
     gates = make_gates(params.track, radius)

@@ -15,7 +15,6 @@ from quadjax.core.gradients import clip_inward
 from quadjax.core.integrators import INTEGRATORS
 from quadjax.core.materialize import materialize, materialize_cotangent, materialized
 from quadjax.core.precision import single_precision
-from quadjax.core.traced import with_leaves
 from quadjax.race import episode
 from quadjax.race.layout import LAST_ACTION, Layout
 from quadjax.race.memory import advance_memories
@@ -210,8 +209,8 @@ def without_training_limits(model: VehicleModel, params: RaceParams) -> RacePara
         "yaw_rate": None,
     }
     return params.replace(
-        training_limits=with_leaves(params.training_limits, **limits),
-        start=with_leaves(params.start, stagger_clocks=False),
+        training_limits=params.training_limits.replace(**limits),
+        start=params.start.replace(stagger_clocks=False),
         tracks=None,
         observation_scale=None,
     )

@@ -4,10 +4,13 @@ import functools
 from typing import Annotated
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+import pytest
 
+from quadjax.core.errors import InputError
 from quadjax.core.sections import Field, Section, Unit
-from quadjax.core.traced import as_leaves, register, with_leaves
+from quadjax.core.traced import as_leaves, register
 
 Length = Annotated[float, Field(gt=0)]
 
@@ -41,7 +44,20 @@ def test_the_rest_is_static():
     same, other = (jax.tree.structure(as_leaves(Numbers(count=count))) for count in (4, 5))
     assert same == jax.tree.structure(as_leaves(Numbers(speed=9.0))) != other
     assert float(as_leaves(Numbers(yaw_deg=0.0)).yaw_deg) == 0.0
-    assert float(with_leaves(leaves, speed=np.float32(1e9)).speed) == 1e9  # not validated
+
+
+def test_a_section_of_arrays_keeps_arrays():
+    """While they are traced, too; they are not validated, but their names are."""
+    leaves = as_leaves(Numbers())
+    changed = leaves.replace(speed=jnp.float32(-1.0))
+    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(changed))
+    assert changed.speed == -1 and changed.steps is leaves.steps
+    faster = jax.jit(lambda numbers, x: numbers.replace(speed=x * numbers.speed))
+    assert faster(leaves, 3.0).speed == 6 and leaves.speed == 2
+    with pytest.raises(InputError, match="Numbers: unknown key sped; did you mean speed"):
+        leaves.replace(sped=1.0)
+    with pytest.raises(InputError, match="speed is -1, allowed: greater than 0"):
+        Numbers().replace(speed=-1.0)
 
 
 def test_the_path_of_a_leaf_is_the_name_of_its_field():

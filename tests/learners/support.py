@@ -5,7 +5,7 @@ import functools
 import jax
 import numpy as np
 
-from quadjax.core.traced import as_leaves, with_leaves
+from quadjax.core.traced import as_leaves
 from quadjax.learners import parallel
 from quadjax.learners.networks import ActorCritic, mean_action, predict_value
 from quadjax.learners.ppo import PPO
@@ -81,9 +81,7 @@ class Run:
         """Other numbers of the environment, or of the learner, which are not validated."""
         training = self.training
         task = training.task if params is None else training.task.replace(env_params=params)
-        self.training = training.replace(
-            task=task, learner=with_leaves(training.learner, **numbers)
-        )
+        self.training = training.replace(task=task, learner=training.learner.replace(**numbers))
 
     def train(self, chunks: int) -> dict[str, np.ndarray]:
         for _ in range(chunks):

@@ -9,7 +9,6 @@ import pytest
 from quadjax.config.assembly import make_race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.core.traced import with_leaves
 from quadjax.limits.problem import ATTITUDE, VELOCITY, FlightOptions, make_problem
 from tests.commands import run
 
@@ -82,7 +81,7 @@ def test_ctrl_c_keeps_the_best_flight_and_other_commands_are_refused(capfd):
     hasty = dataclasses.replace(best.trajectory, leg_times=0.97 * best.trajectory.leg_times)
     assert verify(problem, hasty).error
     limit = np.float64(best.check.top_speed - 0.01)
-    rules = with_leaves(problem.params.rules, speed_limit=limit)
+    rules = problem.params.rules.replace(speed_limit=limit)
     slow = dataclasses.replace(problem, params=problem.params.replace(rules=rules))
     assert "above the speed limit" in verify(slow, best.trajectory).error
 

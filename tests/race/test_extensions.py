@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.core.traced import with_leaves
 from quadjax.core.vectors import safe_norm
 from quadjax.race.draws import Randomization
 from quadjax.race.laps import Laps, fly_race, lap_length, starting_states, time_limit
@@ -53,7 +52,7 @@ def races():
     terms = (("speed", speed), ("squared", squared_action))
     own = dataclasses.replace(environment, user_terms=terms, user_rules=(("ceiling", ceiling),))
     weights = {"speed": jnp.float32(0.5), "squared": jnp.float32(-2.0)}
-    reward = with_leaves(params.reward, terms=weights)
+    reward = params.reward.replace(terms=weights)
     return (environment, params), (own, params.replace(reward=reward))
 
 

@@ -4,7 +4,6 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.core.traced import with_leaves
 from quadjax.race.types import RaceState
 from tests import reference as ref
 from tests.convert import residual_of, rows_of, state_of
@@ -28,7 +27,7 @@ def flight(race, kind, rows, actions, drawn=None, residual=None):
         exact = nominal(**{k: np.float64(v) for k, v in CONSTANTS[kind].items()})
         constants = drawn and nominal(**{k: np.full(COUNT, v) for k, v in drawn.items()})
         net = residual and residual_of(residual)
-        rules = with_leaves(double(params.rules), time_step=np.float64(0.01))
+        rules = double(params.rules).replace(time_step=np.float64(0.01))
         vehicle = params.vehicle.replace(constants=exact, residual=net)
         params = double(params.replace(vehicle=vehicle, rules=rules))
         count = np.zeros(len(rows), np.int32)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from quadjax.core.traced import with_leaves
 from quadjax.race.types import RaceState
 from tests import reference as ref
 from tests.convert import residual_of, state_of
@@ -83,7 +82,7 @@ def test_gradient_of_the_return(kind, case):
     both, size, reward = flights(kind)
     weight = dict.fromkeys(WEIGHTS["all"], 0.0) | WEIGHTS[case]
     weight |= {"gate_edge_margin": 0.45}  # so that the flight passes beyond the safe part
-    weights = with_leaves(reward, **{name: np.float64(value) for name, value in weight.items()})
+    weights = reward.replace(**{name: np.float64(value) for name, value in weight.items()})
     h = 1e-4
     moves = np.concatenate([np.zeros((1, size)), h * np.eye(size), -h * np.eye(size)])
     (value, (passed, ended)), slope = jax.tree.map(np.asarray, both(moves, weights))

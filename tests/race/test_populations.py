@@ -8,7 +8,6 @@ import pytest
 import quadjax
 from quadjax.config.assembly import make_params
 from quadjax.config.schema import Randomization
-from quadjax.core.traced import with_leaves
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.racing import A2RL
 from tests.race.support import compiled_reset, make_config, make_race
@@ -103,9 +102,7 @@ def test_the_width_scales_every_draw():
     key, widths = jax.random.key(0), (0.0, 0.25, 1.0)
     none, some, whole = (
         compiled_reset(environment)(
-            params.replace(
-                randomization=with_leaves(params.randomization, width=np.float32(width))
-            ),
+            params.replace(randomization=params.randomization.replace(width=np.float32(width))),
             key,
             4,
         ).constants.k_hor

@@ -7,7 +7,6 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from quadjax.core.traced import with_leaves
 from quadjax.race.episode import draw_start
 from quadjax.race.track import inside_turn
 from quadjax.vehicle.registry import MODELS
@@ -187,7 +186,7 @@ def test_a_start_that_is_put_past_its_gate_is_mirrored(tilt):
     environment, params = make_race("start.along_leg=1", "start.gate=random", "start.position=0.5")
     state, rows = drawn(environment, params.replace(track=track))
     target, found = state.target, rows[:, ref.P]
-    still = params.replace(track=track, start=with_leaves(params.start, position=np.float32(0)))
+    still = params.replace(track=track, start=params.start.replace(position=np.float32(0)))
     way = drawn(environment, still)[1][:, ref.P]
     angles = [(heading, *tilt[::-1]) for heading in yaw]
     through = Rotation.from_euler("ZYX", angles).apply([1.0, 0.0, 0.0])[state.target]

@@ -10,7 +10,6 @@ from rich.console import Console
 
 from quadjax.config.assembly import make_params
 from quadjax.config.loading import load_config
-from quadjax.core.traced import with_leaves
 from quadjax.learners.loop import ChunkResult
 from quadjax.race.laps import OUT_OF_TIME, Laps
 from quadjax.race.rules import TERMINATIONS
@@ -112,7 +111,7 @@ def test_a_score_of_rewards(limit, total, monkeypatch):
     rewards = ["reward.time=1", "reward.progress=0", "start.velocity=0", "start.position=0"]
     config = load_config(BLANK, ["run.score=reward", "training_limits.episode_steps=5", *rewards])
     params = make_params(config)
-    params = params.replace(rules=with_leaves(params.rules, position_limit=np.float32(limit)))
+    params = params.replace(rules=params.rules.replace(position_limit=np.float32(limit)))
     laps = score.make_flights(config, params)(np.zeros(1))
     assert laps.score == pytest.approx(total) and len(laps.crashes) == 128
 
