@@ -194,12 +194,9 @@ class SHAC(Learner):
 
         A method of its own, because it runs on each device with the environments of that device.
         """
-
-        def loss_of(actor: Params) -> tuple[jax.Array, tuple[Any, Trajectory]]:
-            return self.loss({**params, "actor": actor}, task, target, states, reset_states, noise)
-
-        (loss, rest), gradient = jax.value_and_grad(loss_of, has_aux=True)(params["actor"])
-        return (loss, gradient), rest
+        differentiate = jax.value_and_grad(self.loss, has_aux=True)
+        (loss, rest), gradient = differentiate(params, task, target, states, reset_states, noise)
+        return (loss, gradient["actor"]), rest
 
     def loss(
         self,
