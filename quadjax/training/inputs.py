@@ -4,15 +4,24 @@ import functools
 
 import jax
 import jax.numpy as jnp
+import optax
 
 from quadjax.config.assembly import make_environment
 from quadjax.config.schema import Config
 from quadjax.core.errors import USER_ERRORS, InputError, user_error
+from quadjax.core.precision import single_precision
 from quadjax.learners.parallel import repeat
 from quadjax.learners.schedules import Training
+from quadjax.learners.shac import SHAC
 from quadjax.learners.state import TrainState
-from quadjax.race.types import RaceParams
+from quadjax.race.memory import advance_memories
+from quadjax.race.rewards import checked
+from quadjax.race.rules import evaluate_rules
+from quadjax.race.track import gate
+from quadjax.race.types import RaceParams, RaceState, Step
 from quadjax.vehicle.residual import adds_nothing
+
+RANDOM_STEPS = 64  # at which gradients of the user's reward terms are computed
 
 
 def check_residual(config: Config, params: RaceParams) -> None:
@@ -44,6 +53,43 @@ def trace_race(config: Config, params: RaceParams) -> None:
     state = jax.eval_shape(environment.reset, params, jax.random.key(0))
     jax.eval_shape(environment.observe, params, state)
     jax.eval_shape(environment.step, params, state, jnp.zeros(environment.action_size))
+
+
+@single_precision
+def without_gradient(config: Config, params: RaceParams) -> list[str]:
+    """Lines on the user's reward terms that SHAC cannot differentiate.
+
+    They are those without a gradient, at random steps, with respect to the states and actions of a
+    step and of the step before it, which reach a memory.
+    """
+    race = make_environment(config)
+    if not (race.user_terms and isinstance(config.learner, SHAC)):
+        return []
+
+    def values(motion: tuple[list, list], state: RaceState) -> dict[str, jax.Array]:
+        (before, now, after), (last_action, action) = motion
+        for ends, chosen in (((before, now), last_action), ((now, after), action)):
+            state = state.replace(drone=ends[0])
+            target = gate(params.track, state.target)
+            step = Step(race.model, params, state, target, ends[1], action=chosen)
+            step = step.replace(outcome=evaluate_rules(step, race.user_rules))
+            state = state.replace(memories=advance_memories(race, step))
+        return {name: checked(name, term).value(step) for name, term in race.user_terms}
+
+    def slopes(key: jax.Array) -> dict[str, jax.Array]:
+        action_key, *keys = jax.random.split(key, 4)
+        states = [race.reset(params.replace(tracks=None), each) for each in keys]
+        actions = list(jax.random.uniform(action_key, (2, race.action_size), minval=-1.0))
+        found = jax.jacrev(values)(([state.drone for state in states], actions), states[0])
+        return {name: optax.tree.norm(slope) for name, slope in found.items()}
+
+    keys = jax.random.split(jax.random.key(0), RANDOM_STEPS)
+    return [
+        f"reward.terms {name}: no gradient: SHAC learns from it through the critic only, from what "
+        "is observed; ppo needs no gradient"
+        for name, norms in jax.jit(jax.vmap(slopes))(keys).items()
+        if not jnp.any(norms)
+    ]
 
 
 def check_learner(config: Config, training: Training) -> TrainState:

@@ -36,7 +36,12 @@ from quadjax.training.build import (
 )
 from quadjax.training.checkpoint import Checkpoints, RunState
 from quadjax.training.folder import FILES, KIND, prepare_folder
-from quadjax.training.inputs import check_functions, check_learner, check_residual
+from quadjax.training.inputs import (
+    check_functions,
+    check_learner,
+    check_residual,
+    without_gradient,
+)
 from quadjax.training.progress import ProgressBar
 from quadjax.training.result import MetricsFile, Run, check_tensorboard, is_finished, write_summary
 from quadjax.training.score import FEW_STEPS, gap, make_flights, no_lap
@@ -238,6 +243,8 @@ def _compile(
         vehicle = job.config.vehicle
         for text in summarize(base_model(vehicle.model), vehicle.constants).warnings:
             display.note(f"warning: {vehicle.name}: {text}")
+        for text in without_gradient(job.config, training.task.env_params):
+            display.note(f"warning: {text}")
 
     pool = ThreadPoolExecutor(4)
     try:

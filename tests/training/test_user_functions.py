@@ -9,10 +9,12 @@ import optax
 import pytest
 
 import quadjax
-from quadjax import Learner, ObservedField, TrainState
+from quadjax import Learner, Memory, ObservedField, TrainState
+from quadjax.config.assembly import make_params
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.evaluation.advice import look
+from quadjax.training.inputs import without_gradient
 from quadjax.training.run import train
 from quadjax.vehicle.residual import read_residual, write_residual
 from tests.commands import run
@@ -93,6 +95,48 @@ def test_a_mistake_is_one_line_before_the_folder_exists(row, tmp_path):
         train(config, tmp_path / "run", progress=False)
     assert message in str(caught.value) and "\n" not in str(caught.value)
     assert not (tmp_path / "run").exists()
+
+
+def far(step):
+    """Of no gradient: one of two numbers."""
+    return jnp.where(step.distance > 3.0, -1.0, 0.0)
+
+
+def turned(step):
+    return -jnp.abs(step.memories["turns"])
+
+
+def counted(step):
+    return -step.memories["turns"]
+
+
+class Turns(Memory):
+    name = "turns"
+
+    def begin(self, model, params, state):
+        return jnp.zeros(())
+
+    def advance(self, value, step):
+        return value + step.time_step * step.body_rates.z
+
+
+class Count(Turns):
+    def advance(self, value, step):
+        return value + jnp.sign(step.body_rates.z)
+
+
+def test_a_term_that_shac_cannot_differentiate_is_named():
+    """Through a memory, too; PPO needs no gradient."""
+    turned.memory, counted.memory = Turns(), Count()
+    terms = [f"reward.terms={{{__name__}:{name}: 1.0}}" for name in ("far", "turned", "counted")]
+    found = []
+    for term in terms:
+        config = load_config("e2e", [term])
+        found += without_gradient(config, make_params(config))
+    assert [line.partition(":")[2].partition(": ")[0] for line in found] == ["far", "counted"]
+    assert "no gradient: SHAC learns from it through the critic only" in found[0]
+    config = load_config("e2e_ppo", terms[:1])
+    assert without_gradient(config, make_params(config)) == []
 
 
 def test_an_error_of_a_users_learner_keeps_its_traceback(tmp_path, monkeypatch):
