@@ -14,6 +14,7 @@ from quadjax.export import folder as exported
 from quadjax.export.conversion import Options, sha256
 from quadjax.fitting.config import LogsConfig, load_fit_config
 from quadjax.policy.file import Policy
+from quadjax.policy.race import race_of_policy
 from quadjax.training.folder import check_same
 from quadjax.training.result import Run
 from tests.commands import run
@@ -79,17 +80,27 @@ def test_code_of_a_found_file_is_imported_only_if_the_user_names_a_config(
     assert ran(foreign) == named
 
 
-def test_code_of_rules_and_terms_is_not_imported_either(foreign, capsys):
+def test_code_of_rules_is_not_imported_either(foreign, capsys):
     path = foreign / "policy.npz"
-    for section, changed in (
-        ("rules", {"extra": ["foreign:RULE"]}),
-        ("reward", {"terms": {"foreign:TERM": 1.0}}),
-    ):
-        config = load_config("e2e").model_dump(mode="json", by_alias=True)
-        config[section] |= changed
-        dataclasses.replace(Policy.load(path), config=config).save(path)
-        assert run("evaluate", "--policy", path) == 2
-        assert NAMES in " ".join(capsys.readouterr().err.split()) and not ran(foreign)
+    config = load_config("e2e").model_dump(mode="json", by_alias=True)
+    config["rules"]["extra"] = ["foreign:RULE"]
+    dataclasses.replace(Policy.load(path), config=config).save(path)
+    assert run("evaluate", "--policy", path) == 2
+    assert NAMES in " ".join(capsys.readouterr().err.split()) and not ran(foreign)
+
+
+def test_a_policy_flies_without_the_terms_of_its_reward(foreign, capsys):
+    """They are not imported; a config that is found, of a run, is refused with them."""
+    path, schedule = foreign / "policy.npz", {"linear": [0.0, 1.0]}
+    config = load_config("e2e").model_dump(mode="json", by_alias=True)
+    config["reward"]["terms"] = {"foreign:TERM": 1.0}
+    config["schedules"]["reward.terms.foreign:TERM"] = schedule
+    dataclasses.replace(Policy.load(path), config=config).save(path)
+    assert run("evaluate", "--policy", path, "--runs", 1, "--laps", 1) == 0
+    assert race_of_policy(Policy.load(path))[0] == load_config("e2e") and not ran(foreign)
+    (foreign / "config.yaml").write_text("base: e2e\nreward: {terms: {'foreign:TERM': 1}}\n")
+    with pytest.raises(InputError, match="reward.terms is 'foreign:TERM'; code that this file"):
+        Run.load(foreign)
 
 
 def test_a_config_next_to_a_policy_file_is_not_read(foreign, capsys):

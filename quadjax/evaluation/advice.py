@@ -47,7 +47,8 @@ def wide_margin(config: Config) -> str:
 def look(run: Run) -> str:
     """What to run next where no lap is to be judged."""
     # Code that a policy file names is imported only from a config that the user names.
-    race = ("--race", run.folder / "config.yaml") if names_of_code(run.config) else ()
+    code = set(names_of_code(run.config)) - set(run.config.reward.terms)
+    race = ("--race", run.folder / "config.yaml") if code else ()
     return f"next: {quadjax_command('view', run.folder, *race)} shows its flight"
 
 

@@ -1,6 +1,6 @@
 """The race of a policy file: the config that every command flies it in."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,7 +38,9 @@ def race_of_policy(
 ) -> tuple[Config, str]:
     """The config of the race that a policy flies, and where it came from.
 
-    It is ``config``, or else the config in the policy file. Files next to it are not read.
+    It is ``config``, or else the config in the policy file, without the reward terms of the user's
+    that it names: they have no effect on a flight, and are not imported. Files next to it are not
+    read.
 
     Args:
         policy: the policy.
@@ -55,7 +57,7 @@ def race_of_policy(
     elif config is not None:
         race, origin = load_config(config), str(config)
     elif policy.config is not None:
-        race, origin = stored_config(policy.config, str(name)), "the policy file's config"
+        race, origin = stored_config(_flown(policy.config), str(name)), "the policy file's config"
     else:
         raise InputError(
             f"{name}: has no config; name the config of its race (CONFIG or --race CONFIG)"
@@ -64,6 +66,17 @@ def race_of_policy(
         race = with_track(race, track)
         origin = f"{origin}, track {track}"
     return race, origin
+
+
+def _flown(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """The config in a policy file without the reward terms of the user's."""
+    tree = dict(tree)
+    if isinstance(reward := tree.get("reward"), dict):
+        tree["reward"] = {key: value for key, value in reward.items() if key != "terms"}
+    if isinstance(schedules := tree.get("schedules"), dict):
+        kept = {key: x for key, x in schedules.items() if not key.startswith("reward.terms")}
+        tree["schedules"] = kept
+    return tree
 
 
 def own_race(policy: Policy, race: Config, name: Path | str = "policy") -> Config | None:

@@ -178,8 +178,10 @@ def test_a_stage_of_a_learner_keeps_the_hyperparameters_of_the_preset():
 
 
 def test_the_next_command_of_a_run_names_the_config_with_the_users_code(tmp_path):
-    config = load_config("e2e", [f"reward.terms={{{__name__}:vector: 1.0}}"])
+    """Reward terms have no effect on a flight."""
+    config = load_config("e2e", [f"rules.extra=[{__name__}:vector]"])
     run_of = SimpleNamespace(folder=tmp_path, config=config)
     assert look(run_of).split(" --race ")[1].startswith(f"{tmp_path / 'config.yaml'} shows")
-    run_of.config = load_config("e2e")
-    assert "--race" not in look(run_of)
+    for words in ([], [f"reward.terms={{{__name__}:vector: 1.0}}"]):
+        run_of.config = load_config("e2e", words)
+        assert "--race" not in look(run_of)
