@@ -28,7 +28,7 @@ CODE = [  # sections and keys whose values may be module:OBJECT
     (section, key)
     for section in Config.model_fields
     for key, field in fields_at(Config, [section]).items()
-    if Code() in field.metadata
+    if any(isinstance(item, Code) for item in field.metadata)
 ]
 
 

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from quadjax.core.errors import USER_ERRORS, USER_FILES, InputError, user_error
+from quadjax.core.errors import USER_ERRORS, USER_FILES, InputError, close_match, user_error
 
 
 def load_object(path: str, key: str) -> object:
@@ -36,7 +36,8 @@ def load_object(path: str, key: str) -> object:
     USER_FILES.add(file)
     for attribute in name.split("."):
         if not hasattr(value, attribute):
-            raise InputError(f"{key} is {path!r}, but {file} has no {attribute!r}")
+            hint = close_match(attribute, dir(value))
+            raise InputError(f"{key} is {path!r}, but {file} has no {attribute!r}{hint}")
         value = getattr(value, attribute)
     return value
 

@@ -113,7 +113,13 @@ class Unit:
 
 @dataclasses.dataclass(frozen=True)
 class Code:
-    """Marks a field that may name code, as ``module:OBJECT``: ``Annotated[str, Code()]``."""
+    """Marks a field that may name code, as ``module:OBJECT``: ``Annotated[str, Code()]``.
+
+    Attributes:
+        mapping: the form of a mapping of such names, for messages.
+    """
+
+    mapping: str = "a mapping"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -309,6 +315,10 @@ def _bad_value(
         return BadValue(key, f"{key} is missing")
     unit = _si_unit(schema, [key for key in location if isinstance(key, str)])
     texts = [_allowed(e, unit) for e in errors if _location(e, tree) == location]
+    if error["type"] == "dict_type":
+        field = fields_at(schema, location[:-1]).get(str(location[-1])) if location else None
+        marks = [x for x in (field.metadata if field else ()) if isinstance(x, Code)]
+        texts = [mark.mapping for mark in marks] or texts
     value = short(error["input"])
     if not key:
         return BadValue(key, f"{value} is not a mapping of keys to values")

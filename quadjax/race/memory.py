@@ -46,11 +46,11 @@ class Memory:
 
     def begin(self, model: VehicleModel, params: RaceParams, state: RaceState) -> Any:
         """The value at the start of an episode: a pytree of arrays."""
-        raise InputError(f"memory {self.name!r} has no begin(model, params, state)")
+        raise NotImplementedError
 
     def advance(self, value: Any, step: Step) -> Any:
         """The value after a step, of the same shapes; ``step.outcome`` is None on a plant."""
-        raise InputError(f"memory {self.name!r} has no advance(value, step)")
+        raise NotImplementedError
 
 
 class LastAction(Memory):
@@ -105,6 +105,7 @@ class EstimatedDisturbance(Memory):
         return Estimate(*estimator.update(params.estimator, value.filter, measured))
 
 
+METHODS = {"begin": "model, params, state", "advance": "value, step"}  # that a memory has to have
 MEMORIES: tuple[Memory, ...] = (EstimatedDisturbance(), LastAction())
 
 
@@ -120,7 +121,8 @@ def memories_of(race: "Race", params: RaceParams) -> list[Memory]:
     """The memories that a race uses; those of the user's fields, terms and rules come last.
 
     Raises:
-        InputError: two memories with the same name, or an object that is no ``Memory``.
+        InputError: two memories with the same name, an object that is no ``Memory``, or one
+            without its methods.
     """
     owners: list[tuple[str, Any]] = [(field.name, field) for field in race.layout.fields]
     found: dict[str, Memory] = {memory.name: memory for memory in MEMORIES}
@@ -131,6 +133,9 @@ def memories_of(race: "Race", params: RaceParams) -> list[Memory]:
         if not (isinstance(memory, Memory) and isinstance(getattr(memory, "name", None), str)):
             allowed = "a quadjax.Memory with a name"
             raise InputError(f"{of}: memory is {memory!r:.60}, allowed: {allowed}")
+        for name, arguments in METHODS.items():
+            if getattr(type(memory), name) is getattr(Memory, name):
+                raise InputError(f"{of}: {type(memory).__name__} has no {name}({arguments})")
         if found.setdefault(memory.name, memory) is not memory:
             allowed = "one object for all that share it"
             raise InputError(f"{of}: another memory is named {memory.name!r}, allowed: {allowed}")
@@ -143,6 +148,8 @@ def begin_memories(race: "Race", params: RaceParams, state: RaceState) -> RaceSt
     for memory in memories_of(race, params):
         with _one_line(memory):
             values[memory.name] = memory.begin(race.model, params, state)
+            if values[memory.name] is None:
+                raise InputError(f"memory {memory.name!r}: begin gives None, allowed: arrays")
     return state.replace(memories=values)
 
 
@@ -173,8 +180,12 @@ def _one_line(memory: Memory) -> Iterator[None]:
 
 def _check_same(memory: Memory, before: Any, after: Any) -> None:
     """Check that a value keeps its structure, its shapes and its types."""
-    kinds = [jax.tree.map(lambda x: (jnp.shape(x), jnp.result_type(x)), y) for y in (before, after)]
+    kinds = [
+        jax.tree.map(lambda x: f"{jnp.result_type(x)} {jnp.shape(x)}", value)
+        for value in (after, before)
+    ]
     if kinds[0] != kinds[1]:
+        found, expected = (str(kind).replace("'", "") for kind in kinds)
         raise InputError(
-            f"memory {memory.name!r}: advance gives {kinds[1]}, begin {kinds[0]}, as (shape, type)"
+            f"memory {memory.name!r}: advance gives {found}, expected {expected}, as begin"
         )

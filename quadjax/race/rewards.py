@@ -81,7 +81,7 @@ class Reward(Section):
         le=0.9,
         description="overspeed applies above 1 minus this fraction of rules.speed_limit",
     )
-    terms: Annotated[dict[str, Weight], Code()] = Field(
+    terms: Annotated[dict[str, Weight], Code("{module:function: weight}")] = Field(
         {}, max_length=100, description="weights of your own reward terms, by module:function"
     )
 

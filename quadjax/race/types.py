@@ -98,6 +98,16 @@ class RaceState(struct.PyTreeNode):
     track: Track | None = None  # of this episode, where it is drawn; else None
 
 
+class Memories(dict[str, Any]):
+    """The values of a race's memories by name; another name is an error that says what to do."""
+
+    def __missing__(self, name: str) -> Any:
+        """Raise a ``LookupError``."""
+        listed = ", ".join(self) or "none"
+        remedy = "set the attribute memory of the function or field"
+        raise LookupError(f"no memory {name!r}; this race has: {listed}; {remedy}")
+
+
 class Outcome(struct.PyTreeNode):
     """The events of one step; every flag is a () bool."""
 
@@ -161,7 +171,7 @@ class Step(struct.PyTreeNode):
     @property
     def memories(self) -> Mapping[str, Any]:
         """The values of the race's memories by name; see ``quadjax.race.memory``."""
-        return self.state.memories
+        return Memories(self.state.memories)
 
     @property
     def before(self) -> State:

@@ -193,6 +193,8 @@ def test_an_object_of_a_module_next_to_the_config(tmp_path, monkeypatch):
     (tmp_path / "leaves.py").write_text("import sys\n\nsys.exit(3)\n")
     monkeypatch.chdir(tmp_path)
     assert load_object("my_terms:Terms.weight", "reward.terms") == 3
+    with pytest.raises(InputError, match="my_terms.py has no 'Trems'; did you mean Terms"):
+        load_object("my_terms:Trems", "reward.terms")
     for path, message in REFUSED.items():
         with pytest.raises(InputError, match=message) as caught:
             load_object(path, "reward.terms")

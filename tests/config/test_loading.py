@@ -232,6 +232,7 @@ learner.lr=1 | unknown key learner.lr; did you mean learning_rate?
 run.steps=1e19 | run.steps is 1e+19, allowed: less than or equal to 1000000000000
 run.steps=1.5 | run.steps is 1.5, allowed: a whole number
 schedules.learner.std=linear | is 'linear', allowed: a mapping
+reward.terms=[mine:fast] | terms is ['mine:fast'], allowed: {module:function: weight}
 rules=5 | rules is 5, allowed: a mapping
 track.generate.seed=1 rules=5 | rules is 5, allowed: a mapping
 track.opening=0.5 rules=5 | rules is 5, allowed: a mapping

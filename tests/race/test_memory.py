@@ -92,14 +92,27 @@ class Named(Memory):
     name = "counter"
 
 
+class Begins(Named):
+    def begin(self, model, params, state):
+        return jnp.zeros(())
+
+
+class Empty(Counter):
+    def begin(self, model, params, state):
+        return None
+
+
 class Same(Counter):
     name = "last_action"
 
 
 WRONG = {
     "memory 'counter': ZeroDivisionError: division by zero": Divides(),
-    "memory 'counter': advance gives .*, begin .*, as .shape, type.": Grows(),
-    "memory 'counter' has no begin": Named(),
+    r"memory .counter.: advance gives float32 \(3,\), expected .int32 \(\), float32 ": Grows(),
+    r"term: Named has no begin\(model, params, state\)": Named(),
+    r"term: Begins has no advance\(value, step\)": Begins(),
+    "memory 'counter': begin gives None, allowed: arrays": Empty(),
+    "term: LookupError: no memory 'counter'; this race has: none; set the attrib": None,
     "term: another memory is named 'last_action', allowed: one object": Same(),
     "term: memory is 3, allowed: a quadjax.Memory with a name": 3,
     "term: memory is <.*>, allowed: a quadjax.Memory with a name": Memory(),
