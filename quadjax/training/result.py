@@ -52,6 +52,13 @@ class Run:
     finished: bool
     summary: dict[str, Any]
 
+    def __repr__(self) -> str:
+        """Its folder, its best score and its steps; the fields hold more."""
+        name = f"best_{self.config.run.score_name}"
+        ended = "" if self.finished else ", not finished"
+        steps = f"{self.summary['steps']:,} steps{ended}"
+        return f"Run({str(self.folder)!r}: {name} {self.summary[name]}, {steps})"
+
     @property
     def metrics(self) -> dict[str, np.ndarray]:
         """The columns of ``metrics.csv`` by name, one entry for each evaluation during training.

@@ -1,5 +1,6 @@
 """The folder of a run: locked, of one kind, and never cleared of other people's files."""
 
+import dataclasses
 import json
 import shutil
 import subprocess
@@ -15,7 +16,14 @@ from quadjax.core.folders import claim, kind_of, replacement
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.yaml_files import to_yaml
 from quadjax.training.folder import check_same, prepare_folder
-from quadjax.training.result import SUMMARY, MetricsFile, is_finished, read_metrics, saved_rows
+from quadjax.training.result import (
+    SUMMARY,
+    MetricsFile,
+    Run,
+    is_finished,
+    read_metrics,
+    saved_rows,
+)
 from tests.commands import run
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
@@ -38,6 +46,15 @@ def write_files(folder):
     residual = (PRETRAINED / "standin_residual.npz").read_bytes()
     (folder / "r.npz").write_bytes(residual)
     return residual
+
+
+def test_a_run_prints_as_one_line(tmp_path):
+    summary = {"steps": 1_500_000, "best_lap_total": 17.125}
+    run = Run(load_config("e2e"), tmp_path, random_policy(), True, summary)
+    wanted = f"Run({str(tmp_path)!r}: best_lap_total 17.125, 1,500,000 steps)"
+    assert repr(run) == wanted
+    stopped = dataclasses.replace(run, finished=False)
+    assert repr(stopped) == wanted.replace(" steps)", " steps, not finished)")
 
 
 HOLD = """
