@@ -100,13 +100,13 @@ def _by_target(
     """Time, clearance and gate of each passage by the targets (n,), of which one step may skip."""
     rows: list[tuple[float, float, int]] = []
     for sample in np.flatnonzero(target[1:] != target[:-1]):
-        number, following = int(target[sample]), int(target[sample + 1])
+        number, next_number = int(target[sample]), int(target[sample + 1])
         while True:
             crossing = _crossings(time, position, gates[number], np.array([sample]))[0]
             rows.append((*crossing, number))
             number = (number + 1) % len(gates)
             before, after = _ahead(position[sample : sample + 2], gates[number])
-            if number == following or not before < 0 <= after:
+            if number == next_number or not before < 0 <= after:
                 break
     return rows
 
@@ -120,23 +120,23 @@ def _in_order(
     time: np.ndarray, position: np.ndarray, gates: Sequence[GateSection], reach: float, closed: bool
 ) -> list[tuple[float, float, int]]:
     """Time, clearance and gate of each passage through the openings, widened by ``reach``."""
-    through = []
+    passages = []
     for gate in gates:
         ahead = _ahead(position, gate)
         (samples,) = np.nonzero((ahead[:-1] < 0) & (ahead[1:] >= 0))
         crossings = _crossings(time, position, gate, samples)
         inside = crossings[:, 1] >= -reach
-        through.append(crossings[inside])
+        passages.append(crossings[inside])
     rows: list[tuple[float, float, int]] = []
     last = len(position) if closed else len(gates)
     when = -np.inf
     while len(rows) < last:
         number = len(rows) % len(gates)
-        first = int(np.searchsorted(through[number][:, 0], when, side="right"))
-        if first == len(through[number]):
+        first = int(np.searchsorted(passages[number][:, 0], when, side="right"))
+        if first == len(passages[number]):
             break
-        when = through[number][first, 0]
-        rows.append((*through[number][first], number))
+        when = passages[number][first, 0]
+        rows.append((*passages[number][first], number))
     return rows
 
 

@@ -63,7 +63,7 @@ def step_all(
         The environments, and what a step returns, (n, ..): ``observation`` is of the next episode
         where it has begun, ``final`` of the step itself, as the gates that it passed.
     """
-    following, reward, terminated, truncated = environments.step(params, batch.state, action)
+    next_states, reward, terminated, truncated = environments.step(params, batch.state, action)
     key, reset_key = jax.random.split(batch.key)
     late = batch.over & (mode == AutoresetMode.NEXT_STEP)
     reward = jnp.where(late, 0.0, reward)
@@ -72,20 +72,20 @@ def step_all(
     none = jnp.zeros_like(done)
     resets = {AutoresetMode.SAME_STEP: done, AutoresetMode.NEXT_STEP: late}.get(mode, none)
 
-    def fresh() -> tuple[RaceState, jax.Array]:
+    def reset_done() -> tuple[RaceState, jax.Array]:
         keys = jax.random.split(reset_key, action.shape[0])
-        state = where_done(resets, environments.reset(params, keys), following)
+        state = where_done(resets, environments.reset(params, keys), next_states)
         return state, environments.observe(params, state)
 
-    final = environments.observe(params, following)
-    state, observation = jax.lax.cond(resets.any(), fresh, lambda: (following, final))
+    final = environments.observe(params, next_states)
+    state, observation = jax.lax.cond(resets.any(), reset_done, lambda: (next_states, final))
     return Batch(state, done, key), {
         "observation": observation,
         "final": final,
         "reward": reward,
         "terminated": terminated,
         "truncated": truncated,
-        "gates_passed": jnp.where(late, 0, following.gates_passed),
+        "gates_passed": jnp.where(late, 0, next_states.gates_passed),
     }
 
 

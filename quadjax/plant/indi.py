@@ -124,11 +124,11 @@ def update(
     rest_thrust, thrust = advance(
         a, [(-measurement.specific_force.z - lift, b)], (state.thrust_1, state.thrust_2)
     )
-    following = IndiState(*memory, *thrust, lift + rest_thrust)
+    next_state = IndiState(*memory, *thrust, lift + rest_thrust)
     rate_gain = Vec3(*map(jnp.asarray, (gains.roll_gain, gains.pitch_gain, gains.yaw_gain)))
     wanted = (command.rates - measurement.gyro) * rate_gain - (turning + rest)
-    rise = (command.thrust - following.thrust) / gains.thrust_lag
-    return following, allocate(params, measurement.actuators, wanted, rise)
+    rise = (command.thrust - next_state.thrust) / gains.thrust_lag
+    return next_state, allocate(params, measurement.actuators, wanted, rise)
 
 
 def allocate(params: IndiParams, rpm: Rotors, wanted: Vec3, rise: jax.Array) -> Rotors:

@@ -151,10 +151,10 @@ def update(
         wanted.x / roll, wanted.y / pitch, du_yaw, (command.thrust - thrust) * n.thrust_gain
     )
     turn = jax.tree.map(lambda u: jnp.clip(u, -COMMAND_UNITS, COMMAND_UNITS), now + change)
-    following = turn.replace(w4=jnp.maximum(turn.w4, 0.0))
+    limited = turn.replace(w4=jnp.maximum(turn.w4, 0.0))
     parts = (actuators, *actuators_12, rates, *rates_12, thrust, *thrust_12)
-    state = SimpleState(following, *parts, du_yaw)
-    return state, mixed(params, following)
+    state = SimpleState(limited, *parts, du_yaw)
+    return state, mixed(params, limited)
 
 
 def mixed(params: SimpleParams, command: Rotors) -> Rotors:

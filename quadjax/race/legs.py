@@ -18,12 +18,12 @@ def legs_of(track: TrackSection) -> np.ndarray:
 
 def against_legs(track: TrackSection) -> list[int]:
     """Numbers, from 1, of gates that are passed against the leg to them or from them."""
-    legs, through = legs_of(track), np.array([gate.axes for gate in track.gates])[:, :, 0]
+    legs, axes = legs_of(track), np.array([gate.axes for gate in track.gates])[:, :, 0]
     after = np.roll(legs, -1, axis=0)
     if not track.closed:
-        after[-1] = through[-1]
+        after[-1] = axes[-1]
     off = [
-        (leg * through).sum(axis=1) < -AGAINST_COSINE * np.linalg.norm(leg, axis=1)
+        (leg * axes).sum(axis=1) < -AGAINST_COSINE * np.linalg.norm(leg, axis=1)
         for leg in (legs, after)
     ]
     return [int(index) + 1 for index in np.flatnonzero(off[0] | off[1])]

@@ -76,8 +76,11 @@ def touches_frame(
     """
     start = to_opening_frame(g, before - g.position)
     way = to_opening_frame(g, after - g.position) - start
-    through = jnp.where(jnp.abs(way.x) < SHORTEST_STEP_M, SHORTEST_STEP_M, way.x)
-    middle, half = -start.x / through, depth / jnp.abs(through)  # of the part within the depth
+    along_axis = jnp.where(jnp.abs(way.x) < SHORTEST_STEP_M, SHORTEST_STEP_M, way.x)
+    middle, half = (
+        -start.x / along_axis,
+        depth / jnp.abs(along_axis),
+    )  # of the part within the depth
     first, last = jnp.maximum(middle - half, 0.0), jnp.minimum(middle + half, 1.0)
     ends = start + way * first, start + way * last
     passes = inside_opening(ends[0], g, inner) & inside_opening(ends[1], g, inner)

@@ -240,12 +240,12 @@ def gates_ahead(track: Track, count: int) -> tuple[Vec3, jax.Array]:
     """
     position, yaw = track.next_position, track.next_yaw
 
-    def following(table: jax.Array) -> jax.Array:
+    def of_next_gate(table: jax.Array) -> jax.Array:
         rolled = jnp.roll(table, -1)
         return rolled if track.closed else rolled.at[-1].set(table[-1])
 
     for _ in range(count - 1):
-        step, turn = jax.tree.map(following, (position, yaw))
+        step, turn = jax.tree.map(of_next_gate, (position, yaw))
         cosine, sine = jnp.cos(track.next_yaw), jnp.sin(track.next_yaw)
         across = Vec3(cosine * step.x - sine * step.y, sine * step.x + cosine * step.y, step.z)
         position, yaw = track.next_position + across, wrap_angle(track.next_yaw + turn)

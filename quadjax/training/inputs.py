@@ -74,7 +74,8 @@ def without_gradient(config: Config, params: RaceParams) -> list[str]:
             step = Step(race.model, params, state, target, ends[1], action=chosen)
             step = step.replace(outcome=evaluate_rules(step, race.user_rules))
             state = state.replace(memories=advance_memories(race, step))
-        return {name: checked(name, term).value(step) for name, term in race.user_terms}
+        terms = {name: checked(name, term) for name, term in race.user_terms}
+        return {name: jnp.asarray(term.value(step)) for name, term in terms.items()}
 
     def slopes(key: jax.Array) -> dict[str, jax.Array]:
         action_key, *keys = jax.random.split(key, 4)
