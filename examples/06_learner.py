@@ -27,13 +27,11 @@ class Evolution(quadjax.Learner):
             states, reward, ended, _ = task.environments.step(task.env_params, states, action)
             return (states, alive & ~ended), jnp.where(alive, reward, 0.0)
 
-        key, noise_key, start_key = jax.random.split(state.key, 3)
+        key, noise_key, run_key = jax.random.split(state.key, 3)
         flat, unflatten = ravel_pytree(state.params)
         draws = jax.random.normal(noise_key, (self.num_envs, flat.size))
         weights = jax.vmap(unflatten)(flat + self.noise * draws)
-        starts = task.environments.reset(
-            task.env_params, jax.random.split(start_key, self.num_envs)
-        )
+        starts = task.environments.reset(task.env_params, jax.random.split(run_key, self.num_envs))
         alive = jnp.ones(self.num_envs, bool)
         reward = jax.lax.scan(step, (starts, alive), None, self.horizon)[1].mean(axis=0)
         score = (reward - reward.mean()) / (reward.std() + 1e-8)
