@@ -27,7 +27,7 @@ static void remember_anything(void) {
   pilot.step_us = any_unsigned();
   pilot.state_us = any_unsigned();
   pilot.has_state = any_unsigned();
-  pilot.lost = any_unsigned();
+  pilot.link = Frama_C_interval(0, 2);
   pilot.lost_us = any_unsigned();
   pilot.noise = any_unsigned();
   pilot.race.placed = any_unsigned();
@@ -41,7 +41,13 @@ static void remember_anything(void) {
     pilot.disturbance.first[i] = memory();
     pilot.disturbance.second[i] = memory();
   }
+  for (uint32_t i = 0U; i < 3U; ++i) {
+    pilot.measured.rates[i] = memory();
+    pilot.measured.specific_force[i] = memory();
+    pilot.measured.body_velocity[i] = memory();
+  }
   for (uint32_t i = 0U; i < QJ_COMMANDS; ++i) {
+    pilot.measured.rotor_rpm[i] = memory();
     pilot.state.last_command[i] = memory();
     pilot.battery.speed[i] = memory();
     pilot.battery.expected[i] = memory();
@@ -58,8 +64,8 @@ void eva_main(void) {
   for (uint32_t i = 2U; i < sizeof(vehicle) / 4U; ++i) { numbers[i] = any_float(); }
   vehicle.time_us = any_unsigned();
   vehicle.position_us = any_unsigned();
-  if (Frama_C_interval(0, 1) != 0) { qj_pilot_wait(&pilot, &vehicle); }
-  (void)qj_pilot_step(&pilot, any_unsigned(), &vehicle, command);
+  if (Frama_C_interval(0, 1) != 0) { qj_pilot_standby(&pilot, &vehicle); }
+  (void)qj_pilot_call(&pilot, any_unsigned(), &vehicle, command);
   int32_t q[QJ_MAX_WIDTH];
   int32_t out[QJ_COMMANDS];
   for (uint32_t i = 0U; i < pilot.policy->inputs; ++i) { q[i] = any_integer(); }

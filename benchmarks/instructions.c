@@ -41,7 +41,7 @@ void bench_infer(const float *x, float *out) {
 /* A step on board. */
 void bench_step(const qj_vehicle *vehicle, float *out) {
   qj_pilot_reset(&pilot); /* so that every call is a step */
-  (void)qj_pilot_step(&pilot, vehicle->time_us, vehicle, out);
+  (void)qj_pilot_call(&pilot, vehicle->time_us, vehicle, out);
 }
 
 #ifdef BENCH_MATH /* rough ones, where there is no C library: what uses them is not counted */

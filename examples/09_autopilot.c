@@ -17,7 +17,7 @@ const char *policy_setup(void) {
 }
 
 /* Call in every loop. active: whether the policy's mode is on; if not, the next race is prepared.
- * command: p, q, r and specific thrust, all 0 if the estimate is lost (QJ_LOST). */
+ * command: p, q, r and specific thrust, all 0 with QJ_LOST: no estimate, or not active. */
 qj_pilot_status policy_loop(uint32_t now_us, const estimate_t *estimate, uint32_t active,
                             float command[QJ_COMMANDS]) {
   qj_vehicle vehicle = {.time_us = estimate->time_us,
@@ -32,10 +32,13 @@ qj_pilot_status policy_loop(uint32_t now_us, const estimate_t *estimate, uint32_
     vehicle.rates[i] = estimate->rates[i];
   }
   if (active == 0U) {
-    qj_pilot_wait(&pilot, &vehicle);
-    return QJ_HELD;
+    qj_pilot_standby(&pilot, &vehicle);
+    for (int i = 0; i < QJ_COMMANDS; ++i) {
+      command[i] = 0.0F;
+    }
+    return QJ_LOST;
   }
-  return qj_pilot_step(&pilot, now_us, &vehicle, command);
+  return qj_pilot_call(&pilot, now_us, &vehicle, command);
 }
 
 uint32_t policy_target_gate(void) { return pilot.race.target; }

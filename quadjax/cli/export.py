@@ -80,9 +80,9 @@ def export(
         target=target,
         overwrite=overwrite,
     )
-    print(result.text)
-    wrote(*(output / file for file in sorted(result.converted.files)))
-    wrote(output / f"{result.name}_report.txt", output / f"{result.name}_report.json")
+    print(result.summary)
+    folder = output / result.converted.target.folder
+    wrote(f"{folder}/", output / f"{result.name}_report.txt")
     print(f"Next: {verification(output, allow_unfinished, allow_other_race)}")
     print(f"Then: {quadjax_command('sil', output)}")
 

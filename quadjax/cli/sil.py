@@ -120,10 +120,9 @@ def _shown(flown: "Flown", folder: Path, view: bool, source: str) -> int:
         show(str(folder / STATES_FILE), output=folder / "flight.html", open_=True)
     else:
         print(f"Next: {quadjax_command('view', folder / STATES_FILE)}")
-    if not any(flown.laps.crashes):
+    if not any(flown.laps.crashes) and not setting.faults and setting.source.is_file():
         words = ("export", source, "--target", setting.target, "--output", "out")
-        copy = f"copy the C of {setting.source} to the autopilot"
-        print(f"Then: {quadjax_command(*words) if setting.source.is_file() else copy}")
+        print(f"Then: {quadjax_command(*words)}")
     return INTERRUPTED if last.flight.crash == STOPPED else 0
 
 

@@ -8,14 +8,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-WARNINGS = (
-    "-Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wcast-align -Werror "
-    # Paparazzi's own set, and a little more
-    "-Wunused -Wcast-qual -Wpointer-arith -Wmissing-prototypes -Wmissing-declarations "
-    "-Wstrict-prototypes -Wnested-externs -Wredundant-decls -Wswitch-default -Wundef "
-    "-Wwrite-strings -Wformat-security -Wvla -Wdouble-promotion -Wfloat-equal"
-).split()
-
 
 class Skipped(Exception):
     """A check that cannot run on this machine; the message gives the reason."""

@@ -32,7 +32,7 @@ from quadjax.export.names import (
 )
 from quadjax.export.network import check_policy
 from quadjax.export.race_source import check_race, policy_race
-from quadjax.export.report import Json, make_report, report_text
+from quadjax.export.report import Json, make_report, report_summary, report_text
 from quadjax.export.suitability import target_of
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS, find_target, runtime_files
 from quadjax.policy.file import Policy
@@ -63,6 +63,11 @@ class Export:
     def text(self) -> str:
         """The report as text."""
         return report_text(self.report, self.name)
+
+    @property
+    def summary(self) -> str:
+        """The main numbers of the report, in three lines."""
+        return report_summary(self.report, self.name)
 
     def commands(self, observations: np.ndarray) -> np.ndarray:
         """The C's commands (n, k), in the vehicle's unit, of observations (n, inputs).

@@ -13,7 +13,7 @@ from quadjax.export import emulator
 from quadjax.export.estimators import BatteryModel, DisturbanceModel
 from quadjax.export.integers import ONE, WORD, hash_words
 from quadjax.export.network import FixedLayer, FixedNetwork
-from quadjax.export.observation import Observation
+from quadjax.export.observation import FIELD_NAMES, GATE_TESTS, Observation
 from quadjax.export.race_source import PolicyRace
 from quadjax.export.suitability import kind_of
 from quadjax.race import episode
@@ -58,14 +58,40 @@ class PolicyInC:
 
     @property
     def hash(self) -> int:
-        """Hash of weights, biases, inputs and gates, as ``qj_self_test`` computes it."""
-        o, words = self.observation, list[np.ndarray]()
-        for weights, bias in self.tables:
-            words += [weights.view(np.uint32), bias.view(np.uint32)]
-        ranges = self.network.box.ranges.astype(np.float32)
-        words.append(np.column_stack([o.scales, ranges]).ravel().view(np.uint32))
-        words += [o.gates.view(np.uint32).ravel(), o.constants.ravel().view(np.uint32)]
-        return hash_words(np.concatenate(words))
+        """Hash of all tables and numbers, as ``qj_self_test`` computes it."""
+        network, o = self.network, self.observation
+        kinds = ("QJ_RPM", "QJ_MOTOR", "QJ_RATES_THRUST")
+        numbers = [1 + kinds.index(kind_of(network.model.name)), network.inputs]
+        numbers += [len(network.layers), len(o.parts), len(o.gates), o.constants.shape[1]]
+        numbers += [network.output_shift, network.fraction_bits, GATE_TESTS.index(o.gate_test)]
+        gates = np.column_stack([o.gates.view(np.uint32).reshape(len(o.gates), -1), o.is_round])
+        ranges = network.box.ranges.astype(np.float32)
+        fields = [(1 + FIELD_NAMES.index(name), size) for name, size in o.parts]
+        parts = [
+            np.array([*numbers, self.noise_on_clamped], np.uint32),
+            np.array([o.time_step], np.float32),
+            np.concatenate(_limits(network)).astype(np.int32),
+            *(array for pair in self.tables for array in pair),
+            np.array(fields, np.uint32).ravel(),
+            np.column_stack([o.scales, ranges]).astype(np.float32).ravel(),
+            gates.astype(np.uint32).ravel(),
+            o.constants.ravel(),
+            *(np.asarray(x, np.float32).ravel() for x in self._estimator_numbers()),
+        ]
+        return hash_words(np.concatenate([part.view(np.uint32) for part in parts]))
+
+    def _estimator_numbers(self) -> Iterable[object]:
+        """The floats of the estimators and of the noise, in the order of the hash."""
+        if (model := self.disturbance) is not None:
+            yield [model.sample_rate, *model.constants.values(), *model.inertia]
+            yield [*model.feedback, *model.low_pass, *model.derivative]
+            if (residual := model.residual) is not None:
+                yield [residual.low_rpm, residual.high_rpm]
+                yield from (x for layer in (*residual.thrust, *residual.moment) for x in layer)
+        if self.battery is not None:
+            yield list(vars(self.battery).values())
+        if self.noise is not None:
+            yield self.noise
 
     @functools.cached_property
     def test_inputs(self) -> np.ndarray:
@@ -202,7 +228,7 @@ def _gates(policy: PolicyInC) -> str:
         others = [real(gate[x]) for x in gate.dtype.names[2:]]
         row = f"{reals(gate['position'])}, {axes}, {', '.join(others)}, {int(is_round)}U"
         rows.append(f"{{{row}}}, /* gate {number} */")
-    said = "Center, axes, yaw, its cosine and sine, half of width and height, round"
+    said = "Center, axes, yaw, its cosine and sine, half of width and height less the body, round"
     constants = [real(x) for x in o.constants.ravel()] or ["0.0F"]
     return array("qj_gate", f"{name}_gates", rows, said) + array(
         "float", f"{name}_gate_constants", constants, "Inputs that depend on the target gate alone"

@@ -22,7 +22,7 @@ VEHICLE = np.dtype([  # qj_vehicle
     ("quaternion", "<f4", 4), ("rates", "<f4", 3), ("rotor_speed", "<f4", 4), ("thrust", "<f4"),
     ("specific_force", "<f4", 3), ("body_velocity", "<f4", 3), ("autopilot_command", "<f4", 4),
 ])  # fmt: skip
-COUNTS = ("steps", "nan steps", "outside steps", "late calls", "target", "passed", "missed")
+COUNTS = ("steps", "outside steps", "late calls", "nan calls", "target", "passed", "missed")
 
 
 class Library:
@@ -108,12 +108,12 @@ class Pilot:
         """The next step starts a race."""
         self._library.qj_pilot_reset(*pointers(self._memory))
 
-    def wait(self, vehicle: np.ndarray | None) -> None:
+    def standby(self, vehicle: np.ndarray | None) -> None:
         """A call in which the policy does not fly; ``vehicle`` as of ``step``."""
         place = None if vehicle is None else pointers(vehicle)[0]
-        self._library.qj_pilot_wait(*pointers(self._memory), place)
+        self._library.qj_pilot_standby(*pointers(self._memory), place)
 
-    def step(self, now_us: int, vehicle: np.ndarray | None) -> tuple[int, np.ndarray]:
+    def call(self, now_us: int, vehicle: np.ndarray | None) -> tuple[int, np.ndarray]:
         """A call at a time: the status, and the commands (4,) float32.
 
         ``vehicle``: a ``VEHICLE`` (); None if there is no valid state.
@@ -122,7 +122,7 @@ class Pilot:
         memory, out = pointers(self._memory, command)
         place = None if vehicle is None else pointers(vehicle)[0]
         now = ctypes.c_uint32(now_us % 2**32)
-        return self._library.qj_pilot_step(memory, now, place, out), command
+        return self._library.qj_pilot_call(memory, now, place, out), command
 
     def estimate(self) -> np.ndarray:
         """External moment, N m, and force, m/s^2, and the highest speed, rpm: (7,) float32."""
@@ -132,9 +132,17 @@ class Pilot:
 
     def counts(self) -> dict[str, int]:
         """The counters and the race, by ``COUNTS``."""
-        counts = np.zeros(len(COUNTS), np.uint32)
+        return dict(zip(COUNTS, self._counts().tolist()[:-1], strict=True))
+
+    def outside(self) -> list[int]:
+        """Inputs that were outside their range since the last reset; 31 stands for all others."""
+        mask = int(self._counts()[-1])
+        return [bit for bit in range(32) if mask >> bit & 1]
+
+    def _counts(self) -> np.ndarray:
+        counts = np.zeros(len(COUNTS) + 1, np.uint32)
         self._library.library_counts(*pointers(self._memory, counts))
-        return dict(zip(COUNTS, counts.tolist(), strict=True))
+        return counts
 
 
 def write_c(converted: Converted, work: Path) -> list[Path]:

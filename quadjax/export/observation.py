@@ -35,6 +35,7 @@ FIELDS = {  # names of qj_field in qj.h, by field of a layout
     "force_ext": "QJ_FORCE_EXT_Z",
     HIGHEST_RPM: "QJ_HIGHEST_RPM",
 }
+FIELD_NAMES = (*dict.fromkeys(FIELDS.values()), OF_GATE)  # numbered from 1 on, as qj_field
 GATE = np.dtype([  # the floats of qj_gate
     ("position", "<f4", 3),
     ("axes", "<f4", (3, 3)),

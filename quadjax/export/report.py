@@ -11,7 +11,7 @@ import numpy as np
 
 from quadjax.core import mlp
 from quadjax.export import emulator
-from quadjax.export.conversion import Converted, sha256
+from quadjax.export.conversion import Converted
 from quadjax.export.flights import Rollouts
 from quadjax.export.integers import WORD
 from quadjax.export.network import FixedNetwork
@@ -64,9 +64,7 @@ def make_report(converted: Converted, rollouts: Rollouts) -> Json:
         "track": race.track,
         "config": race.origin,
         "config_sha256": hashlib.sha256(race.text.encode()).hexdigest(),
-        "deterministic": in_c.noise is None,
         "options": dataclasses.asdict(converted.options),
-        "residual_sha256": race.residual and sha256(race.residual),
         "estimators": in_c.sample_rate,
         "noise": None if in_c.noise is None else in_c.noise.tolist(),
         "flights": {
@@ -105,6 +103,22 @@ def _measure(converted: Converted, observations: np.ndarray) -> Json:
     }
 
 
+def report_summary(report: Json, name: str) -> str:
+    """The main numbers of a report, in three lines."""
+    flown, error = report["flights"], max(report["error_bound"])
+    measured = max(max(row["largest"]) for row in report["measured_error"].values())
+    estimated = ", estimates on board are not part of them" * bool(report["estimators"])
+    return "\n".join(
+        (
+            f"{name}: network in fixed point, no sum overflows for any input in its range",
+            f"error against real arithmetic: at most {error:.2g} {report['unit']} (proven), "
+            f"{measured:.2g} (measured)",
+            f"{flown['finished']} of {flown['runs']} flights finish {flown['laps']} laps; "
+            f"{flown['observations']} observations, none outside the ranges{estimated}",
+        )
+    )
+
+
 def report_text(report: Json, name: str) -> str:
     """A report as text."""
     return "\n".join(_lines(report, name)) + "\n"
@@ -135,12 +149,15 @@ def _lines(r: Json, name: str) -> Iterator[str]:
         yield f"Estimators on board at {rate:g} Hz"
     if noise := r["noise"]:
         yield f"Sampled: noise of standard deviation {_short(noise)} {r['unit']}".rstrip()
-    low, high = min(r["command_low"]), max(r["command_high"])
-    yield f"Commands, for every input: {low:g} .. {high:g} {r['unit']}".rstrip()
+    ends = zip(r["command_low"], r["command_high"], strict=True)
+    text = ", ".join(f"{low:g} .. {high:g}" for low, high in ends)
+    yield f"Commands, for every input: {text}; {r['unit']}".rstrip("; ")
     flown = r["flights"]
     yield (
         f"Flights: {flown['finished']} of {flown['runs']} finished {flown['laps']} laps; "
         f"{flown['observations']} observations, none outside the ranges"
+        + ", estimates on board are not part of them"
+        * bool(r["estimators"])
     )
 
 

@@ -249,28 +249,29 @@ def _highest(c: Context) -> str:
 
 def check_flights(c: Context) -> str:
     """The race in the C is that of the policy file, and the policy finishes it."""
-    converted = c.converted
-    other = c.allow_other_race and converted.options.allow_other_race
-    unfinished = c.allow_unfinished and converted.options.allow_unfinished
-    texts = []
-    checks: dict[str, tuple[bool, Callable[[], str]]] = {
-        "--allow-other-race": (
-            other,
-            lambda: check_race(converted.policy, converted.race, c.path / POLICY_FILE),
-        ),
-        "--allow-unfinished": (
-            unfinished,
-            lambda: flights.check_finished(c.rollouts.laps, converted.race, converted.in_c.name),
-        ),
-    }
-    for option, (allowed, check) in checks.items():
-        try:
-            texts.append(check())
-        except InputError as error:
-            if not allowed:
-                raise Failed(str(error)) from None
-            texts.append(f"{error}; allowed by {option}")
-    return "; ".join(texts)
+    converted, options = c.converted, c.converted.options
+    path, own = c.path / POLICY_FILE, (converted.policy, converted.race)
+    is_own = _allowed(
+        lambda: check_race(*own, path),
+        c.allow_other_race and options.allow_other_race,
+        "--allow-other-race",
+    )
+    finishes = _allowed(
+        lambda: flights.check_finished(c.rollouts.laps, converted.race, converted.in_c.name),
+        c.allow_unfinished and options.allow_unfinished,
+        "--allow-unfinished",
+    )
+    return f"{is_own}; {finishes}"
+
+
+def _allowed(check: Callable[[], str], allowed: bool, option: str) -> str:
+    """The figure of a check, which an option may allow to fail."""
+    try:
+        return check()
+    except InputError as error:
+        if not allowed:
+            raise Failed(str(error)) from None
+        return f"{error}; allowed by {option}"
 
 
 CHECKS: dict[str, Callable[[Context], str]] = {

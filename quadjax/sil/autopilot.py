@@ -10,7 +10,7 @@ from quadjax.export.compiler import Failed, Skipped
 from quadjax.export.conversion import Converted
 from quadjax.export.library import Library
 
-COUNTED = ("nan steps", "outside steps", "late calls")  # by the pilot, in a race
+COUNTED = ("outside steps", "late calls", "nan calls")  # by the pilot, in a race
 
 
 class Autopilot(Protocol):
@@ -38,6 +38,9 @@ class Autopilot(Protocol):
     def counts(self) -> dict[str, int]:
         """What was wrong in this race, by name."""
 
+    def outside(self) -> list[str]:
+        """The inputs of the policy that were outside their range in this race."""
+
 
 class ExportedC:
     """The C runtime with a policy, compiled for this machine: an ``Autopilot``."""
@@ -54,17 +57,15 @@ class ExportedC:
             raise InputError(f"the C cannot be compiled: {error}") from None
         in_c = converted.in_c
         if wrong := self._pilot.wrong:
-            export = f"; quadjax export --sample-rate {frequency:g}" * (
-                in_c.sample_rate is not None
-            )
+            other = f"; export with --sample-rate {frequency:g}, or fly the policy file itself"
             raise InputError(
                 f"{converted.file}: with {frequency:g} calls a second the policy cannot fly: "
-                f"{wrong}{export}"
+                f"{wrong}{other if in_c.sample_rate else ''}"
             )
         estimator = ", its own estimators" * (in_c.sample_rate is not None)
         self.label = f"exported C{estimator}" + ", sampled actions" * (in_c.noise is not None)
         self.files = f"{in_c.name}.h and qj_*.c of {converted.target.folder}/"
-        self._before = self._pilot.counts()
+        self._before, self._inputs = self._pilot.counts(), in_c.network.box.layout.labels
 
     def begin(self) -> None:
         """A race begins with the next call."""
@@ -73,9 +74,13 @@ class ExportedC:
 
     def step(self, now_us: int, vehicle: np.ndarray | None) -> tuple[int, np.ndarray]:
         """See ``Autopilot``."""
-        return self._pilot.step(now_us, vehicle)
+        return self._pilot.call(now_us, vehicle)
 
     def counts(self) -> dict[str, int]:
         """Calls and steps of this race in which something was wrong with the state."""
         now = self._pilot.counts()
         return {name: now[name] - self._before[name] for name in COUNTED}
+
+    def outside(self) -> list[str]:
+        """The inputs that were outside their range in this race."""
+        return [label for bit in self._pilot.outside() for label in self._inputs[bit : bit + 1]]

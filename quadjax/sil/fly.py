@@ -25,6 +25,7 @@ class FlightResult:
     flight: Flight
     laps: Laps
     counts: dict[str, int]  # of steps and states
+    outside: list[str]  # inputs of the policy that were outside their range
 
 
 def resting(drone: SimulatedDrone, now: DroneState) -> np.ndarray:
@@ -92,4 +93,5 @@ def fly(
     record = simulated_flight(name, drone.step, values, gates, drone.model, *ends)
     for prefix, found in (("states ", channel.counts), ("autopilot: ", autopilot.counts())):
         counts.update({f"{prefix}{key}": count for key, count in found.items()})
-    return FlightResult(record, result, {k: n for k, n in counts.items() if n or k == "steps"})
+    found = {key: count for key, count in counts.items() if count or key == "steps"}
+    return FlightResult(record, result, found, autopilot.outside())

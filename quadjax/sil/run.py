@@ -40,10 +40,10 @@ STATES_FILE = "states.npz"
 FILES = (STATES_FILE, "sil.json", "table.txt", "flight.html")
 SAME_LOOP = 0.03  # largest relative difference of the loop rates of plant and autopilot
 MEANINGS = {  # of counts
-    "autopilot: late calls": "calls without a new state (held)",
-    "steps without a state": "steps with none for 0.1 s (commands 0)",
-    "autopilot: nan steps": "steps with a number that is not finite (taken as 0)",
-    "autopilot: outside steps": "with an input outside its range (clipped)",
+    "autopilot: late calls": "calls without a new state",
+    "autopilot: nan calls": "calls with a number that is not finite",
+    "steps without a state": "steps with commands of 0",
+    "autopilot: outside steps": "steps with an input outside its range",
 }
 
 
@@ -95,7 +95,9 @@ class Flown:
         states = [f"{n:,} {key[7:]}" for key, n in counts.items() if key.startswith("states ")]
         pilot = [f"{counts[key]:,} {text}" for key, text in MEANINGS.items() if key in counts]
         parts = [f"states: {', '.join(states)}"] * bool(states)
-        lines += ["; ".join(parts + [f"pilot: {', '.join(pilot)}"] * bool(pilot))]
+        outside = sorted({name for race in self.races for name in race.outside})
+        parts += [f"pilot: {', '.join(pilot)}"] * bool(pilot)
+        lines += ["; ".join(parts) + f" ({', '.join(outside)})" * bool(outside)]
         return "\n".join(line for line in lines if line)
 
     def to_json(self) -> dict[str, Any]:
@@ -106,6 +108,7 @@ class Flown:
             "sources": self.sources,
             "drone": self.drone,
             "counts": self.counts,
+            "outside": sorted({name for race in self.races for name in race.outside}),
             "faults": dataclasses.asdict(setting.faults) if setting.faults else None,
             "provenance": provenance(self.config, seed=setting.seed),
             "plant": setting.plant.model_dump(mode="json") if setting.plant else None,

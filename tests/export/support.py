@@ -25,6 +25,13 @@ from tests import reference as ref
 from tests.convert import residual_of
 from tests.frozen.c_code import LAYOUTS, MORE
 
+WARNINGS = (
+    "-Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wcast-align -Werror "
+    # Paparazzi's own set, and a little more
+    "-Wunused -Wcast-qual -Wpointer-arith -Wmissing-prototypes -Wmissing-declarations "
+    "-Wstrict-prototypes -Wnested-externs -Wredundant-decls -Wswitch-default -Wundef "
+    "-Wwrite-strings -Wformat-security -Wvla -Wdouble-promotion -Wfloat-equal"
+).split()
 BATTERY = "battery.charge=[0.1, 1.0]"
 RANDOM_TRACK = "track.generate.seed=1"
 RACES = {  # preset, overrides

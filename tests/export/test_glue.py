@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from quadjax.core.resources import PRETRAINED
-from quadjax.export.compiler import WARNINGS
 from quadjax.export.library import VEHICLE
 from quadjax.export.race_source import policy_race
 from quadjax.plant.config import load_plant_config
@@ -18,12 +17,12 @@ from quadjax.sil import run
 from quadjax.sil.faults import Faults
 from quadjax.sil.run import Setting, fly_all
 from tests.export.stand_ins import Firmware
-from tests.export.support import convert, converted, library
+from tests.export.support import WARNINGS, convert, converted, library
 
 RACER = Path(__file__).parent / "racer.npz"  # of the 5-inch drone, without rotor speeds
 GLUES = {"cortex-a9": "everything", "indiflight": "racing, axes and more"}  # target: race
 FLAGS = {  # with which the firmwares are built
-    "cortex-a9": tuple(WARNINGS[:4]),
+    "cortex-a9": (*WARNINGS[:4], "-Werror"),
     "indiflight": tuple("-Wall -Wextra -Wdouble-promotion -Werror".split()),
 }
 THRUST_GAIN, HOVER, CUTOFF = 500.0, 9.81, 8.0  # autopilot units per m/s^2, m/s^2, Hz
@@ -58,7 +57,7 @@ class Glue:
             now = round(1e6 * number / self.of.frequency)
             row["time_us"] = row["position_us"] = now
             found.append(self.firmware.call(now, row, flies))
-            wanted.append(self.pilot.step(now, row)[1])
+            wanted.append(self.pilot.call(now, row)[1])
         return np.array(found), np.array(wanted)
 
 
@@ -75,14 +74,14 @@ def test_commands_are_those_of_the_pilot(glue):
     assert glue.firmware.wrong is None
     rows = np.repeat(random_vehicles(40), 5)  # a step of the policy is five calls
     glue.firmware.begin()
-    glue.pilot.wait(np.zeros((), VEHICLE))
+    glue.pilot.standby(np.zeros((), VEHICLE))
     found, wanted = glue.both(rows)
     span = wanted.max() - wanted.min()
     np.testing.assert_allclose(found, wanted, atol=2e-4 * span)
     assert len(np.unique(found, axis=0)) == 40 and glue.firmware.armed
     if glue.of.target.glue == "paparazzi":  # what the ground sees
-        sent = (ctypes.c_float * 13).in_dll(glue.firmware._library, "paparazzi_sent")
-        assert [sent[0], sent[1], sent[6], sent[7]] == [0, 1, 40, 0]
+        sent = (ctypes.c_float * 12).in_dll(glue.firmware._library, "paparazzi_sent")
+        assert [sent[0], sent[1], sent[6], sent[8]] == [0, 1, 40, 0]
     assert not glue.firmware.call(10**6, rows[:1], flies=False).any()
 
 
@@ -93,9 +92,26 @@ def test_numbers_of_any_bits_give_commands_in_range(glue):
         bits = rng.integers(0, 2**32, rows[name].shape, dtype=np.uint32)
         rows[name] = bits.view(np.float32)
     glue.firmware.begin()
+    rows[::2] = random_vehicles(150)
     found, _ = glue.both(rows)
     low, high = glue.of.policy.command_low, glue.of.policy.command_high
     assert np.all((found >= low) & (found <= high))
+
+
+def test_paparazzi_holds_and_hands_over_where_motion_capture_stops(tmp_path):
+    """The rates are new in every call, the position stays as old as its last message."""
+    glue = Glue(tmp_path, "cortex-a9")
+    row, flown = random_vehicles(1), []
+    for call in range(400):
+        row["time_us"] = now = round(1e6 * call / glue.of.frequency)
+        row["position_us"] = min(now, 100_000)
+        row["rates"] = 0.1 * np.sin([call, 2 * call, 3 * call])
+        flown.append(glue.firmware.call(now, row).copy())
+    moving = np.any(np.diff(flown, axis=0) != 0.0, axis=1) & np.any(flown[1:], axis=1)
+    last = 1e6 / glue.of.frequency * (1 + np.flatnonzero(moving))
+    commanded = 1e6 / glue.of.frequency * np.flatnonzero(np.any(flown, axis=1))
+    assert 185_000 < last.max() <= 202_000  # flies up to an age of 0.1 s
+    assert 295_000 < commanded.max() <= 306_000  # holds for 0.1 s, then the autopilot flies
 
 
 @every

@@ -3,6 +3,7 @@
 import functools
 import shutil
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -11,11 +12,12 @@ from benchmarks import eva
 from benchmarks.instructions_boards import Board, sample_vehicle
 from benchmarks.instructions_builds import BUILDS, arm_none_eabi, bebop
 from quadjax.export import emulator
-from quadjax.export.compiler import WARNINGS, Skipped, host
+from quadjax.export import library as library_module
+from quadjax.export.compiler import Compiler, Skipped, host
 from quadjax.export.integers import quantize
 from quadjax.export.library import HOST, write_c
 from quadjax.export.vectors import check_vectors, hostile_vectors
-from tests.export.support import converted, library
+from tests.export.support import WARNINGS, converted, library
 
 LARGEST_STACK = 3072  # bytes
 BRANCHES = 40  # instructions that depend on whether an input or a command is clamped
@@ -60,7 +62,7 @@ def test_every_kernel_has_the_bits_of_numpy_on_board(hidden, processor, tmp_path
     network, missing = of.in_c.network, []
     x = np.concatenate([check_vectors(network, 400, None), hostile_vectors(network)])
     q = quantize(x, network.box.exponents).astype(np.int32)
-    on_host = library(of, tmp_path / "host").pilot(of.frequency).step(0, sample_vehicle())[1]
+    on_host = library(of, tmp_path / "host").pilot(of.frequency).call(0, sample_vehicle())[1]
     for build in BUILDS[processor]:
         try:
             board = Board(of, processor, build, tmp_path)
@@ -75,6 +77,31 @@ def test_every_kernel_has_the_bits_of_numpy_on_board(hidden, processor, tmp_path
         assert max(*stacks, board.count("step", sample_vehicle())[1]) < LARGEST_STACK
     if missing:
         pytest.skip("; ".join(missing))
+
+
+ZIG = Compiler("zig cc", (sys.executable, "-m", "ziglang", "cc"), ("-std=c99",))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("compiler", [host, lambda: ZIG], ids=["host", "clang"])
+def test_fast_math_changes_no_bit_of_the_network_and_lets_no_nan_in(
+    compiler, tmp_path, monkeypatch
+):
+    """INDIflight and Betaflight are built with it."""
+    of = converted("everything", tmp_path / "policy")
+    monkeypatch.setattr(library_module, "host", compiler)
+    c = library(of, tmp_path / "c", "-O2", "-ffast-math")
+    network = of.in_c.network
+    x = np.concatenate([check_vectors(network, 400, None), hostile_vectors(network)])
+    q = quantize(x, network.box.exponents)
+    np.testing.assert_array_equal(c.quantize(x), q)
+    np.testing.assert_array_equal(c.forward(q), emulator.forward_rows(network, q))
+    pilot, vehicle = c.pilot(of.frequency), sample_vehicle()
+    for call in range(20):
+        vehicle["time_us"] = vehicle["position_us"] = round(1e6 * call / of.frequency)
+        vehicle["rates"] = np.nan if call % 2 else 0.1
+        pilot.call(int(vehicle["time_us"][0]), vehicle)
+    assert pilot.counts()["nan calls"] == 10 and np.isfinite(pilot.estimate()).all()
 
 
 CHANGES = {  # of the C: what stands there, what stands there then
@@ -131,8 +158,8 @@ int main(void) {
   if (qj_pilot_start(&pilot, &QUADJAX_POLICY, QJ_DEFAULT_KERNEL, 512.0F) != 0) { return 1; }
   pilot.noise = 1U;
   for (uint32_t now = 0U; fread(&vehicle, sizeof(vehicle), 1, stdin) == 1; now += 1953U) {
-    if (vehicle.time_us % 7U == 0U) { qj_pilot_wait(&pilot, &vehicle); }
-    (void)qj_pilot_step(&pilot, now, (vehicle.time_us % 5U == 0U) ? 0 : &vehicle, command);
+    if (vehicle.time_us % 7U == 0U) { qj_pilot_standby(&pilot, &vehicle); }
+    (void)qj_pilot_call(&pilot, now, (vehicle.time_us % 5U == 0U) ? 0 : &vehicle, command);
     fwrite(command, sizeof(command), 1, stdout);
   }
   return 0;

@@ -62,6 +62,6 @@ def test_the_mean_flies_unless_samples_are_asked_for(tmp_path):
     vehicle, commands = np.zeros((), VEHICLE), []
     for now in (0, 10_000):
         vehicle["time_us"] = vehicle["position_us"] = now
-        commands.append([pilot.step(now, vehicle)[1] for pilot in pilots])
+        commands.append([pilot.call(now, vehicle)[1] for pilot in pilots])
     np.testing.assert_array_equal(commands[0][0], commands[1][0])
     assert not np.array_equal(commands[0][1], commands[1][1])

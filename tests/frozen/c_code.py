@@ -85,7 +85,7 @@ int commands(const qj_vehicle *states, float *out, uint32_t count) {
     return 1;
   }
   for (uint32_t i = 0; i < count; ++i) {
-    (void)qj_pilot_step(&pilot, states[i].time_us, states + i, out + 4 * i);
+    (void)qj_pilot_call(&pilot, states[i].time_us, states + i, out + 4 * i);
   }
   return 0;
 }

@@ -28,7 +28,7 @@ from tests.sil.support import Autopilot, Counting, short_drone
 
 @pytest.mark.parametrize("crash", ["", "ground"])
 @pytest.mark.parametrize(
-    ("file", "step"), [("", "copy the C"), ("p.npz", "quadjax export 'an e2e'")]
+    ("file", "step"), [("", "quadjax export"), ("p.npz", "quadjax export 'an e2e'")]
 )
 def test_c_of_which_a_flight_crashed_is_not_to_be_used(file, step, crash, tmp_path, capsys):
     (tmp_path / "p.npz").touch()
@@ -38,7 +38,7 @@ def test_c_of_which_a_flight_crashed_is_not_to_be_used(file, step, crash, tmp_pa
     assert command._shown(flown, tmp_path / "a #1", False, "an e2e") == 0
     printed = capsys.readouterr().out
     assert f"Next: quadjax view '{tmp_path / 'a #1' / 'states.npz'}'" in printed
-    assert (f"Then: {step}" in printed) is not bool(crash)
+    assert (f"Then: {step}" in printed) is (bool(file) and not crash)
 
 
 SHIPPED = PRETRAINED / "e2e_residual_disturbance.npz"
@@ -117,7 +117,9 @@ def test_the_plant_runs_at_the_rate_of_an_exported_folder(tmp_path, monkeypatch)
     plant = load_plant_config("cyberzoo")
     _, setting = sil._converted(Setting(tmp_path, plant))
     assert setting.plant.control_rate == 500.0 != plant.control_rate
-    with pytest.raises(InputError, match="100 calls a second .*another rate.*--sample-rate 100"):
+    with pytest.raises(
+        InputError, match="100 calls a second .*another rate.*--sample-rate 100, or fly"
+    ):
         ExportedC(of, tmp_path / "c", 100.0)
 
 

@@ -2,8 +2,8 @@
  * A quadjax racing policy in C: the network in fixed point, everything around it in float.
  *
  * A policy is a constant struct, defined by the header that quadjax export writes. Nothing is
- * allocated and no file is read; the C library is used for sinf, cosf, asinf, atan2f, sqrtf, logf and
- * floorf only. The network computes the same bits on every processor and by every compiler: it is
+ * allocated and no file is read; the C library is used for sinf, cosf, asinf, atan2f, sqrtf, logf,
+ * floorf and fabsf only. The network computes the same bits on every processor and by every compiler: it is
  * integers, proven not to overflow for any input. The rest is ordinary float, which differs in its last
  * digits between processors unless it is compiled with -ffp-contract=off and without -ffast-math.
  *
@@ -24,6 +24,7 @@ extern "C" {
 #define QJ_COMMANDS 4
 #define QJ_ONE (INT32_C(1) << 30) /* an input of the network at the edge of its range */
 #define QJ_RPM_PER_RAD_S 9.549296585513721F
+#define QJ_LARGEST 1e6F /* magnitude of a number of a state: beyond it there is no such state */
 
 /* ---- the kernels of the network ------------------------------------------------------------------ */
 
@@ -67,8 +68,8 @@ typedef enum {
 } qj_field;
 
 typedef struct {
-  qj_field field;
-  uint32_t size; /* number of inputs */
+  uint32_t field; /* of qj_field */
+  uint32_t size;  /* number of inputs */
 } qj_part;
 
 /* An input of the network is (value - middle) factor, within +-range, a power of two. */
@@ -98,7 +99,7 @@ typedef struct {
   float yaw;         /* rad */
   float cos_yaw;
   float sin_yaw;
-  float half_width; /* m, less the radius of the drone where the race has one; radius of a circle */
+  float half_width; /* m, less the radius of the drone's body; of a circle its radius, less that */
   float half_height;
   uint32_t is_round;
 } qj_gate;
@@ -178,9 +179,9 @@ typedef struct {
 
 /* ---- the network --------------------------------------------------------------------------------- */
 
-/* By the bits, so that it holds with -ffast-math too. */
+/* By the bits, and volatile, so that it holds with -ffast-math too. */
 static inline uint32_t qj_is_finite(float value) {
-  union {
+  volatile union {
     float value;
     uint32_t bits;
   } pun;
@@ -202,9 +203,9 @@ qj_status qj_quantize(const qj_policy *policy, const float *x, int32_t *q);
 void qj_forward(const qj_policy *policy, qj_kernel kernel, const int32_t *q,
                 int32_t command[QJ_COMMANDS], uint32_t *trace);
 
-/* The same as floats in their unit; rpm are whole ones. counter: of the noise, 0 for the mean action.
- * With a counter, a policy that samples its actions draws Gaussian noise: the same counter gives the
- * same noise, and a call moves it on. */
+/* The same as floats in their unit; rpm are whole ones. counter: where the counter of the noise is, or
+ * a null pointer for the mean action. With one, a policy that samples its actions draws Gaussian noise:
+ * the same number gives the same noise, and a call moves it on. */
 void qj_act(const qj_policy *policy, qj_kernel kernel, const int32_t *q, uint32_t *counter,
             float command[QJ_COMMANDS]);
 
@@ -217,7 +218,7 @@ uint32_t qj_self_test(const qj_policy *policy, qj_kernel kernel);
 typedef struct {
   float position[3];
   float velocity[3];   /* world */
-  float quaternion[4]; /* w, x, y, z: body to world */
+  float quaternion[4]; /* w, x, y, z: body to world, of length one */
   float rates[3];      /* p, q, r */
   float rotor_speed[4]; /* rad/s */
   float thrust;         /* specific, along body -z, m/s^2 */

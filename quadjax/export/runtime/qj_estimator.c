@@ -42,25 +42,25 @@ static void residual_inputs(const qj_residual *r, const qj_measured *m, float x[
 }
 
 /* Specific force (3 to 5) and moment (0 to 2) of the model, but for the rotors' acceleration. */
-static void model_of(const qj_disturbance_model *c, const qj_measured *m, float out[6]) {
+static void model_of(const qj_disturbance_model *model, const qj_measured *m, float out[6]) {
   const float *const w = m->rotor_rpm;
   const float *const v = m->body_velocity;
   const float s[4] = {w[0] * w[0], w[1] * w[1], w[2] * w[2], w[3] * w[3]};
   const float sum = w[0] + w[1] + w[2] + w[3];
-  out[0] = c->k_p * (s[0] - s[1] - s[2] + s[3]) + c->k_pv * v[1];
-  out[1] = c->k_q * (s[0] + s[1] - s[2] - s[3]) + c->k_qv * v[0];
-  out[2] = c->k_r1 * (-w[0] + w[1] - w[2] + w[3]) - c->k_rr * m->rates[2];
-  out[3] = -c->k_x * v[0] * sum;
-  out[4] = -c->k_y * v[1] * sum;
-  out[5] = -c->k_w * (s[0] + s[1] + s[2] + s[3]) - c->k_z * v[2] * sum -
-           c->k_h * (v[0] * v[0] + v[1] * v[1]);
-  if (c->residual != 0) {
+  out[0] = model->k_p * (s[0] - s[1] - s[2] + s[3]) + model->k_pv * v[1];
+  out[1] = model->k_q * (s[0] + s[1] - s[2] - s[3]) + model->k_qv * v[0];
+  out[2] = model->k_r1 * (-w[0] + w[1] - w[2] + w[3]) - model->k_rr * m->rates[2];
+  out[3] = -model->k_x * v[0] * sum;
+  out[4] = -model->k_y * v[1] * sum;
+  out[5] = -model->k_w * (s[0] + s[1] + s[2] + s[3]) - model->k_z * v[2] * sum -
+           model->k_h * (v[0] * v[0] + v[1] * v[1]);
+  if (model->residual != 0) {
     float buffer[2][QJ_MAX_WIDTH];
-    residual_inputs(c->residual, m, buffer[0]);
-    out[5] += run_network(c->residual->thrust, c->residual->thrust_layers, buffer[0], buffer[1])[0];
-    residual_inputs(c->residual, m, buffer[0]);
+    residual_inputs(model->residual, m, buffer[0]);
+    out[5] += run_network(model->residual->thrust, model->residual->thrust_layers, buffer[0], buffer[1])[0];
+    residual_inputs(model->residual, m, buffer[0]);
     const float *const moment =
-        run_network(c->residual->moment, c->residual->moment_layers, buffer[0], buffer[1]);
+        run_network(model->residual->moment, model->residual->moment_layers, buffer[0], buffer[1]);
     for (uint32_t i = 0U; i < 3U; ++i) {
       out[i] += moment[i];
     }
@@ -68,53 +68,53 @@ static void model_of(const qj_disturbance_model *c, const qj_measured *m, float 
 }
 
 /* For each channel what is low-passed, x, and what is differentiated, d. */
-static void unexplained(const qj_disturbance_model *c, const qj_measured *m, float x[6], float d[6]) {
+static void unexplained(const qj_disturbance_model *model, const qj_measured *m, float x[6], float d[6]) {
   const float *const w = m->rotor_rpm;
   const float *const n = m->rates;
-  const float *const inertia = c->inertia;
-  float model[6];
-  model_of(c, m, model);
-  x[0] = (inertia[2] - inertia[1]) * n[1] * n[2] - model[0];
-  x[1] = (inertia[0] - inertia[2]) * n[2] * n[0] - model[1];
-  x[2] = (inertia[1] - inertia[0]) * n[0] * n[1] - model[2];
+  const float *const inertia = model->inertia;
+  float explained[6];
+  model_of(model, m, explained);
+  x[0] = (inertia[2] - inertia[1]) * n[1] * n[2] - explained[0];
+  x[1] = (inertia[0] - inertia[2]) * n[2] * n[0] - explained[1];
+  x[2] = (inertia[1] - inertia[0]) * n[0] * n[1] - explained[2];
   for (uint32_t i = 0U; i < 3U; ++i) {
     d[i] = inertia[i] * n[i];
-    x[3U + i] = m->specific_force[i] - model[3U + i];
+    x[3U + i] = m->specific_force[i] - explained[3U + i];
     d[3U + i] = 0.0F;
   }
-  d[2] -= c->k_r2 * (-w[0] + w[1] - w[2] + w[3]);
+  d[2] -= model->k_r2 * (-w[0] + w[1] - w[2] + w[3]);
 }
 
 /* ---- moment and force ---------------------------------------------------------------------------- */
 
 /* The filter's memory after a sample, in the transposed direct form II. */
-static void remember(const qj_disturbance_model *c, qj_disturbance *memory, uint32_t i, float x,
+static void remember(const qj_disturbance_model *model, qj_disturbance *memory, uint32_t i, float x,
                      float d, float y) {
-  memory->first[i] = memory->second[i] + c->low_pass[1] * x + c->derivative[1] * d -
-                     c->feedback[0] * y;
-  memory->second[i] = c->low_pass[2] * x + c->derivative[2] * d - c->feedback[1] * y;
+  memory->first[i] = memory->second[i] + model->low_pass[1] * x + model->derivative[1] * d -
+                     model->feedback[0] * y;
+  memory->second[i] = model->low_pass[2] * x + model->derivative[2] * d - model->feedback[1] * y;
 }
 
-void qj_disturbance_start(const qj_disturbance_model *c, qj_disturbance *memory,
+void qj_disturbance_start(const qj_disturbance_model *model, qj_disturbance *memory,
                           const qj_measured *measured, const float estimate[6]) {
   float x[6];
   float d[6];
-  unexplained(c, measured, x, d);
+  unexplained(model, measured, x, d);
   for (uint32_t i = 0U; i < 6U; ++i) { /* as if d had been constant and x the estimate for long */
     memory->second[i] = 0.0F;
-    remember(c, memory, i, estimate[i], d[i], estimate[i]);
-    remember(c, memory, i, estimate[i], d[i], estimate[i]);
+    remember(model, memory, i, estimate[i], d[i], estimate[i]);
+    remember(model, memory, i, estimate[i], d[i], estimate[i]);
   }
 }
 
-void qj_disturbance_update(const qj_disturbance_model *c, qj_disturbance *memory,
+void qj_disturbance_update(const qj_disturbance_model *model, qj_disturbance *memory,
                            const qj_measured *measured, float estimate[6]) {
   float x[6];
   float d[6];
-  unexplained(c, measured, x, d);
+  unexplained(model, measured, x, d);
   for (uint32_t i = 0U; i < 6U; ++i) {
-    const float y = c->low_pass[0] * x[i] + c->derivative[0] * d[i] + memory->first[i];
-    remember(c, memory, i, x[i], d[i], y);
+    const float y = model->low_pass[0] * x[i] + model->derivative[0] * d[i] + memory->first[i];
+    remember(model, memory, i, x[i], d[i], y);
     estimate[i] = y;
   }
 }

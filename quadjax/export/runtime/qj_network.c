@@ -8,6 +8,7 @@
  * otherwise.
  */
 #include <math.h>
+#include <stddef.h>
 
 #include "qj.h"
 
@@ -272,16 +273,16 @@ static void normal(uint32_t *counter, float pair[2]) {
   pair[1] = radius * sinf(angle);
 }
 
-/* A sum of the output with noise in the unit of the command, or without. */
+static float held_between(float value, float low, float high) {
+  return (value < low) ? low : ((value > high) ? high : value);
+}
+
+/* A sum of the output with noise, in the unit of the command. */
 static float sampled(const qj_policy *policy, uint32_t i, int64_t sum, float noise) {
-  const float unit = 1.0F / (float)(UINT32_C(1) << policy->fraction_bits);
-  const float low = (float)policy->low[i] * unit;
-  const float high = (float)policy->high[i] * unit;
   const int64_t wide = sum >> policy->output_shift;
   const int64_t held = limited(wide, policy->low[i], policy->high[i]);
-  const float mean = (float)((policy->noise_on_clamped != 0U) ? held : wide) * unit;
-  const float value = mean + noise;
-  return (value < low) ? low : ((value > high) ? high : value);
+  const float mean = (float)((policy->noise_on_clamped != 0U) ? held : wide);
+  return mean / (float)(UINT32_C(1) << policy->fraction_bits) + noise;
 }
 
 void qj_act(const qj_policy *policy, qj_kernel kernel, const int32_t *q, uint32_t *counter,
@@ -297,61 +298,76 @@ void qj_act(const qj_policy *policy, qj_kernel kernel, const int32_t *q, uint32_
     normal(counter, noise + i);
   }
   for (uint32_t i = 0U; i < QJ_COMMANDS; ++i) {
+    const float unit = 1.0F / (float)(UINT32_C(1) << bits);
+    const int64_t held = limited(sums[i] >> policy->output_shift, policy->low[i], policy->high[i]);
+    float value = (is_rpm != 0U) ? (float)(int32_t)((held + half) >> bits) : (float)held * unit;
     if (is_sampled != 0U) {
-      command[i] = sampled(policy, i, sums[i], noise[i] * policy->noise[i]);
-      command[i] = (is_rpm != 0U) ? floorf(command[i] + 0.5F) : command[i];
-    } else {
-      const int64_t held =
-          limited(sums[i] >> policy->output_shift, policy->low[i], policy->high[i]);
-      command[i] = (is_rpm != 0U) ? (float)(int32_t)((held + half) >> bits)
-                                  : (float)held / (float)(UINT32_C(1) << bits);
+      value = sampled(policy, i, sums[i], noise[i] * policy->noise[i]);
+      value = (is_rpm != 0U) ? floorf(value + 0.5F) : value;
     }
+    command[i] = held_between(value, (float)policy->low[i] * unit, (float)policy->high[i] * unit);
   }
 }
 
 /* ---- the self-test ------------------------------------------------------------------------------- */
 
-static uint32_t digest_floats(uint32_t value, const float *x, uint32_t count) {
-  for (uint32_t i = 0U; i < count; ++i) {
-    union {
-      float value;
-      uint32_t bits;
-    } pun;
-    pun.value = x[i];
-    value = digest(value, pun.bits);
+/* Of words of four bytes, the low one first. */
+static uint32_t digest_words(uint32_t value, const void *words, uint32_t count) {
+  const unsigned char *byte = words;
+  for (uint32_t i = 0U; i < count; ++i, byte += 4) {
+    value = digest(value, (uint32_t)byte[0] | ((uint32_t)byte[1] << 8) | ((uint32_t)byte[2] << 16) |
+                              ((uint32_t)byte[3] << 24));
   }
   return value;
 }
 
-/* Of weights and biases, inputs, gates and their constants. */
+static uint32_t digest_network(uint32_t hash, const qj_float_layer *layer, uint32_t layers) {
+  for (uint32_t i = 0U; i < layers; ++i) {
+    hash = digest_words(hash, layer[i].weights, layer[i].rows * layer[i].columns);
+    hash = digest_words(hash, layer[i].bias, layer[i].rows);
+  }
+  return hash;
+}
+
+#define WORDS_OF(object) ((uint32_t)(sizeof(object) / 4U))
+
+static uint32_t digest_estimators(uint32_t hash, const qj_policy *policy) {
+  if (policy->disturbance != 0) {
+    const qj_residual *const residual = policy->disturbance->residual;
+    hash = digest_words(hash, policy->disturbance, offsetof(qj_disturbance_model, residual) / 4U);
+    if (residual != 0) {
+      hash = digest_words(hash, &residual->low_rpm, 1U);
+      hash = digest_words(hash, &residual->high_rpm, 1U);
+      hash = digest_network(hash, residual->thrust, residual->thrust_layers);
+      hash = digest_network(hash, residual->moment, residual->moment_layers);
+    }
+  }
+  if (policy->battery != 0) {
+    hash = digest_words(hash, policy->battery, WORDS_OF(qj_battery_model));
+  }
+  return (policy->noise != 0) ? digest_words(hash, policy->noise, QJ_COMMANDS) : hash;
+}
+
+/* Of all tables and numbers. */
 static uint32_t hash_of(const qj_policy *policy) {
-  uint32_t hash = DIGEST_START;
+  const uint32_t numbers[] = {(uint32_t)policy->kind, policy->inputs, policy->layers, policy->parts,
+                              policy->gates, policy->gate_constants, policy->output_shift,
+                              policy->fraction_bits, (uint32_t)policy->gate_test,
+                              policy->noise_on_clamped};
+  uint32_t hash = digest_words(DIGEST_START, numbers, WORDS_OF(numbers));
+  hash = digest_words(hash, &policy->step_s, 1U);
+  hash = digest_words(hash, policy->low, QJ_COMMANDS);
+  hash = digest_words(hash, policy->high, QJ_COMMANDS);
   for (uint32_t i = 0U; i < policy->layers; ++i) {
     const qj_layer *const layer = &policy->layer[i];
-    for (uint32_t k = 0U; k < layer->padded_rows * layer->padded_columns; ++k) {
-      hash = digest(hash, (uint32_t)layer->weights[k]);
-    }
-    for (uint32_t k = 0U; k < layer->padded_rows; ++k) {
-      hash = digest_long(hash, layer->bias[k]);
-    }
+    hash = digest_words(hash, layer->weights, layer->padded_rows * layer->padded_columns);
+    hash = digest_words(hash, layer->bias, 2U * layer->padded_rows);
   }
-  for (uint32_t i = 0U; i < policy->inputs; ++i) {
-    hash = digest_floats(hash, &policy->input[i].middle, 1U);
-    hash = digest_floats(hash, &policy->input[i].factor, 1U);
-    hash = digest_floats(hash, &policy->input[i].range, 1U);
-  }
-  for (uint32_t i = 0U; i < policy->gates; ++i) {
-    hash = digest_floats(hash, policy->gate[i].position, 3U);
-    for (uint32_t axis = 0U; axis < 3U; ++axis) {
-      hash = digest_floats(hash, policy->gate[i].axes[axis], 3U);
-    }
-    hash = digest_floats(hash, &policy->gate[i].yaw, 1U);
-    hash = digest_floats(hash, &policy->gate[i].cos_yaw, 1U);
-    hash = digest_floats(hash, &policy->gate[i].sin_yaw, 1U);
-    hash = digest_floats(hash, &policy->gate[i].half_width, 1U);
-    hash = digest_floats(hash, &policy->gate[i].half_height, 1U);
-  }
-  return digest_floats(hash, policy->gate_constant, policy->gates * policy->gate_constants);
+  hash = digest_words(hash, policy->part, policy->parts * WORDS_OF(qj_part));
+  hash = digest_words(hash, policy->input, policy->inputs * WORDS_OF(qj_input));
+  hash = digest_words(hash, policy->gate, policy->gates * WORDS_OF(qj_gate));
+  hash = digest_words(hash, policy->gate_constant, policy->gates * policy->gate_constants);
+  return digest_estimators(hash, policy);
 }
 
 uint32_t qj_self_test(const qj_policy *policy, qj_kernel kernel) {

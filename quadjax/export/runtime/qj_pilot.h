@@ -13,14 +13,14 @@ extern "C" {
 #define QJ_HOLD_US 100000U    /* without a state, the last commands are held that long, then all are 0 */
 #define QJ_GIVE_UP_US 500000U /* after that long, all are 0 until qj_pilot_reset */
 
-/* What an autopilot knows. What it does not measure may be zeros, if the policy and its estimators do
- * not need it: quadjax export has checked that. Numbers that are not finite are taken as zero. */
+/* What an autopilot knows. What it does not measure is zeros; quadjax export has checked that neither
+ * the policy nor its estimators need it. A state with a number that is not finite is no state. */
 typedef struct {
   uint32_t time_us;     /* of the rates, the rotor speeds and the sensors; it may wrap around */
   uint32_t position_us; /* of the position, on the same clock */
   float position[3];
   float velocity[3];   /* world */
-  float quaternion[4]; /* w, x, y, z: body to world */
+  float quaternion[4]; /* w, x, y, z: body to world, of length one */
   float rates[3];
   float rotor_speed[4]; /* rad/s */
   float thrust;         /* specific, along body -z, m/s^2 */
@@ -29,13 +29,20 @@ typedef struct {
   float autopilot_command[QJ_COMMANDS]; /* rpm, while the policy does not fly: for the estimators */
 } qj_vehicle;
 
-/* Steps since qj_pilot_start, and those in which something was wrong. */
+/* Steps since qj_pilot_start, and what was wrong. */
 typedef struct {
   uint32_t steps;
-  uint32_t nan_steps;     /* a number of the state was not finite: taken as zero */
   uint32_t outside_steps; /* an input of the network was outside its range: taken as its edge */
   uint32_t late_calls;    /* no state, or it was stale, or not newer than the one before */
+  uint32_t nan_calls;     /* a number of the state was not finite: no state */
 } qj_counters;
+
+/* Whether a race has its states. */
+typedef enum {
+  QJ_HAS_STATE = 0,
+  QJ_MISSES_STATE = 1, /* since lost_us */
+  QJ_GAVE_UP = 2       /* after QJ_GIVE_UP_US: until qj_pilot_reset */
+} qj_pilot_link;
 
 typedef enum {
   QJ_UNUSABLE = 0, /* no policy: the commands are 0 */
@@ -54,13 +61,13 @@ typedef struct {
   uint32_t step_us;  /* time of the call of the last step */
   uint32_t state_us; /* time of the newest state */
   uint32_t has_state;
-  uint32_t lost;    /* 1: states were missing in the last call; 2: for too long */
-  uint32_t lost_us; /* since when */
-  uint32_t noise; /* counter of a policy that samples its actions: set it to any number */
-  uint32_t is_nan; /* a number of the newest state was not finite */
-  qj_state state;  /* as observed; last_command are the present commands */
-  float estimate[6]; /* moment, force */
-  qj_status last;
+  qj_pilot_link link;
+  uint32_t lost_us;
+  uint32_t noise;   /* counter of a policy that samples its actions: set it to any number */
+  uint32_t outside; /* inputs outside their ranges since qj_pilot_reset: bit i is input i, 31 any more */
+  qj_state state;   /* as observed; last_command are the present commands */
+  qj_measured measured; /* of the newest state, for the estimators */
+  float estimate[6];    /* moment, force */
   qj_counters counters;
   qj_race race;
   qj_disturbance disturbance;
@@ -77,12 +84,12 @@ void qj_pilot_reset(qj_pilot *pilot);
 
 /* A call in which the policy does not fly: its estimators run, and a race ends. vehicle: 0 if there is
  * no valid state. */
-void qj_pilot_wait(qj_pilot *pilot, const qj_vehicle *vehicle);
+void qj_pilot_standby(qj_pilot *pilot, const qj_vehicle *vehicle);
 
 /* A call in which it flies: the estimators run, and at every step of the policy its commands change.
  * now_us: of the call, on the clock of the vehicle; the steps follow it. The commands are within the
  * policy's limits and never NaN, whatever comes in, or all 0. */
-qj_pilot_status qj_pilot_step(qj_pilot *pilot, uint32_t now_us, const qj_vehicle *vehicle,
+qj_pilot_status qj_pilot_call(qj_pilot *pilot, uint32_t now_us, const qj_vehicle *vehicle,
                               float command[QJ_COMMANDS]);
 
 #ifdef __cplusplus

@@ -3,8 +3,6 @@
 
 #include "qj.h"
 
-#define LARGEST 1e6F /* m, of a coordinate */
-
 void qj_race_start(qj_race *race) {
   race->placed = 0U;
   race->target = 0U;
@@ -59,7 +57,7 @@ static qj_event crossing(const qj_policy *policy, const qj_gate *gate, const flo
 qj_event qj_race_update(const qj_policy *policy, qj_race *race, const float position[3]) {
   qj_event event = QJ_NO_EVENT;
   for (uint32_t i = 0U; i < 3U; ++i) {
-    if ((qj_is_finite(position[i]) == 0U) || (fabsf(position[i]) > LARGEST)) {
+    if ((qj_is_finite(position[i]) == 0U) || (fabsf(position[i]) > QJ_LARGEST)) {
       return QJ_NO_EVENT;
     }
   }

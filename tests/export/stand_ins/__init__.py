@@ -12,8 +12,7 @@ from quadjax.export.conversion import Converted
 from quadjax.export.library import EXACT, VEHICLE, pointers
 
 HERE = Path(__file__).parent
-SYSTEM = ("stdbool.h", "stdint.h", "math.h")
-COUNTS = ("steps", "nan steps", "outside steps", "late calls")
+SYSTEM = ("stdbool.h", "stddef.h", "stdint.h", "math.h")
 
 
 def sources_of(converted: Converted, folder: Path) -> tuple[list[Path], list[str]]:
@@ -84,3 +83,7 @@ class Firmware:
     def counts(self) -> dict[str, int]:
         """What was wrong."""
         return {}
+
+    def outside(self) -> list[str]:
+        """Inputs outside their range, which the glue does not tell."""
+        return []

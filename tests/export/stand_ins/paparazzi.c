@@ -2,6 +2,7 @@
 #include <stdbool.h>
 
 #include "firmware.h"
+#include "quadjax_policy.h"
 
 #define AP_MODE_MODULE 15
 #define AC_ID 1
@@ -50,6 +51,7 @@ static float update_butterworth_2_low_pass(Butterworth2LowPass *filter, float va
   filter->o[0] += filter->gain * (value - filter->o[0]);
   return filter->o[0];
 }
+#if QUADJAX_COMMANDS_RATES
 enum { COMMAND_THRUST = 3 };
 #define MAX_PPRZ 9600
 static int32_t stabilization_cmd[4];
@@ -59,7 +61,8 @@ void stabilization_indi_rate_run(struct FloatRates rates_sp, bool in_flight) {
   (void)in_flight;
   inner_loop_rates = rates_sp;
 }
-float paparazzi_sent[13]; /* the numbers of the status message */
+#endif
+float paparazzi_sent[12]; /* the numbers of the status message */
 
 static uint8_t autopilot_get_mode(void) { return mode; }
 static void autopilot_set_motors_on(bool on) { motors_on = on; }

@@ -7,7 +7,7 @@ static const qj_policy *const policy = &QUADJAX_POLICY;
 
 uint32_t library_pilot_size(void);
 const char *library_start(qj_pilot *pilot, float calls_per_s);
-void library_counts(const qj_pilot *pilot, uint32_t counts[7]);
+void library_counts(const qj_pilot *pilot, uint32_t counts[8]);
 void library_estimate(const qj_pilot *pilot, float estimate[7]);
 void library_quantize(const float *x, int32_t *q, uint32_t count);
 void library_forward(const int32_t *q, int32_t *out, uint32_t count);
@@ -23,12 +23,12 @@ const char *library_start(qj_pilot *pilot, float calls_per_s) {
   return qj_pilot_start(pilot, policy, QJ_DEFAULT_KERNEL, calls_per_s);
 }
 
-void library_counts(const qj_pilot *pilot, uint32_t counts[7]) {
-  const uint32_t found[7] = {pilot->counters.steps,         pilot->counters.nan_steps,
-                             pilot->counters.outside_steps, pilot->counters.late_calls,
-                             pilot->race.target,            pilot->race.passed,
-                             pilot->race.missed};
-  for (uint32_t i = 0U; i < 7U; ++i) {
+void library_counts(const qj_pilot *pilot, uint32_t counts[8]) {
+  const uint32_t found[8] = {pilot->counters.steps,      pilot->counters.outside_steps,
+                             pilot->counters.late_calls, pilot->counters.nan_calls,
+                             pilot->race.target,         pilot->race.passed,
+                             pilot->race.missed,         pilot->outside};
+  for (uint32_t i = 0U; i < 8U; ++i) {
     counts[i] = found[i];
   }
 }

@@ -24,7 +24,7 @@ const char *nn_load(void) {
 
 nn_counters_t nn_counters(void) {
   const qj_counters *const own = &pilot.counters;
-  const nn_counters_t counters = {own->steps, own->nan_steps, own->outside_steps,
+  const nn_counters_t counters = {own->steps, own->nan_calls, own->outside_steps,
                                   pilot.race.passed, pilot.race.missed};
   return counters;
 }
@@ -54,7 +54,7 @@ void nn_control(const float world_state[16], float motor_cmds[4]) {
     vehicle.rotor_speed[i] = world_state[12U + motor_number[i]];
   }
   qj_quaternion_of(euler, vehicle.quaternion);
-  (void)qj_pilot_step(&pilot, now_us, &vehicle, commands);
+  (void)qj_pilot_call(&pilot, now_us, &vehicle, commands);
   for (uint32_t i = 0U; i < 4U; ++i) {
     motor_cmds[motor_number[i]] = commands[i];
   }

@@ -28,7 +28,7 @@ extern uint8_t target_gate_index;          /* gate to pass next; written here on
 /* What was wrong with the inputs since start-up. */
 typedef struct {
   uint32_t steps;         /* of the policy */
-  uint32_t nan_steps;     /* in which a number was not finite; it is taken as zero */
+  uint32_t nan_calls;     /* with a number that was not finite: no state */
   uint32_t outside_steps; /* in which an input of the network was outside its range: its edge */
   uint32_t gates_passed;  /* since nn_reset */
   uint32_t gates_missed;  /* since nn_reset: planes crossed beside the opening */

@@ -93,10 +93,9 @@ static void send_status(struct transport_tx *trans, struct link_device *dev) {
   float values[] = {(wrong != 0) ? 1.0f : 0.0f,       flying ? 1.0f : 0.0f,
                     (float)pilot.kernel,              (float)pilot.race.target,
                     (float)pilot.race.passed,         (float)pilot.race.missed,
-                    (float)counters->steps,           (float)counters->nan_steps,
-                    (float)counters->outside_steps,   (float)counters->late_calls,
-                    (float)pilot.last.nan,            (float)pilot.last.outside,
-                    pilot.state.highest_rpm};
+                    (float)counters->steps,           (float)counters->outside_steps,
+                    (float)counters->late_calls,      (float)counters->nan_calls,
+                    (float)pilot.outside,             pilot.state.highest_rpm};
   pprz_msg_send_PAYLOAD_FLOAT(trans, dev, AC_ID, (uint8_t)(sizeof(values) / sizeof(values[0])),
                               values);
 }
@@ -152,9 +151,9 @@ void quadjax_module_periodic(void) {
   (void)update_butterworth_2_low_pass(&given_thrust, (float)stabilization_cmd[COMMAND_THRUST]);
 #endif
   if (wanted) {
-    flying = (qj_pilot_step(&pilot, vehicle.time_us, &vehicle, commands) != QJ_LOST);
+    flying = (qj_pilot_call(&pilot, vehicle.time_us, &vehicle, commands) != QJ_LOST);
   } else {
-    qj_pilot_wait(&pilot, &vehicle);
+    qj_pilot_standby(&pilot, &vehicle);
     flying = false;
   }
 }
