@@ -149,8 +149,8 @@ def _lines(r: Json, name: str) -> Iterator[str]:
         yield f"Estimators on board at {rate:g} Hz"
     if noise := r["noise"]:
         yield f"Sampled: noise of standard deviation {_short(noise)} {r['unit']}".rstrip()
-    ends = zip(r["command_low"], r["command_high"], strict=True)
-    text = ", ".join(f"{low:g} .. {high:g}" for low, high in ends)
+    limits = zip(r["command_low"], r["command_high"], strict=True)
+    text = ", ".join(f"{low:g} .. {high:g}" for low, high in limits)
     yield f"Commands, for every input: {text}; {r['unit']}".rstrip("; ")
     flown = r["flights"]
     yield (
