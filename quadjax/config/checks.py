@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 
 from quadjax.config.drone import check_drone
+from quadjax.config.scales import SHORTEST_LEG_M
 from quadjax.config.schema import Config, Schedule
 from quadjax.core.errors import InputError, close_match, prefixed, short
 from quadjax.core.section_keys import fields_at, value_at
@@ -22,7 +23,6 @@ from quadjax.race.types import describe_dependents
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import base_model
 
-SMALLEST_LEG_M = 0.01
 MAX_EULER_PITCH_DEG = 89.0  # largest pitch of a start with Euler angles
 NEEDS = {  # keys that have an effect only with another one, which their fields name
     f"{section}.{key}": item.key
@@ -263,5 +263,5 @@ def _check_gate(config: Config, index: int) -> None:
     _check_place(config, f"{key}.position", gate.position)
     before = gates[index - 1].position
     follows = index > 0 or (config.track.closed and len(gates) > 1)
-    if follows and math.dist(before, gate.position) < SMALLEST_LEG_M:
+    if follows and math.dist(before, gate.position) < SHORTEST_LEG_M:
         refuse(f"{key}.position", gate.position, "another place than the gate before it")

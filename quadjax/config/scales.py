@@ -21,8 +21,8 @@ from quadjax.race.track import TrackSection, check_lap
 from quadjax.vehicle.airframe import GRAVITY_M_S2
 from quadjax.vehicle.registry import base_model
 
-LEAST_THRUST_TO_WEIGHT = 1.05  # of thrust to weight: a drone below it hardly accelerates sideways
-SHORTEST_LEG_M = 0.01  # of a leg
+LEAST_THRUST_TO_WEIGHT = 1.05  # a drone below it hardly accelerates sideways
+SHORTEST_LEG_M = 0.01
 ENVS_MULTIPLE = 8
 Location = tuple[str | int, ...]  # of a value in a tree: keys, and indices of lists
 WithUnit = dict[Location, tuple[str, float | int]]  # numbers in units of the race: text, number
@@ -114,7 +114,7 @@ def in_plain_units(tree: Tree, learner: type[Section], units_written: WithUnit) 
     Args:
         tree: of a whole config, with a ``Vehicle`` that has its constants.
         learner: the class of its section ``learner``.
-        units_written: gets the numbers with a unit.
+        units_written: filled with the numbers with a unit.
 
     Raises:
         InputError: a unit that is not one of the key's unit, or an invalid track or vehicle.

@@ -17,9 +17,9 @@ from quadjax.race.observation_config import NONE
 from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM
 from quadjax.race.track import Track
 from quadjax.race.types import RaceParams
+from quadjax.vehicle.airframe import RPM_PER_RAD_S
 from quadjax.vehicle.battery import LOWEST
 
-RPM_PER_RAD_S = 30.0 / np.pi
 OF_GATE = "QJ_OF_GATE"  # constants of the target gate
 FIELDS = {  # names of qj_field in qj.h, by field of a layout
     "position": "QJ_POSITION",

@@ -11,7 +11,6 @@ import numpy as np
 from quadjax.core import quaternion
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.export.observation import RPM_PER_RAD_S
 from quadjax.export.race_source import PolicyRace
 from quadjax.policy.pilot import command_ranges
 from quadjax.race import episode
@@ -20,6 +19,7 @@ from quadjax.race.layout import LAST_ACTION, Layout
 from quadjax.race.memory import DISTURBANCE, Estimate
 from quadjax.race.observations import HIGHEST_RPM
 from quadjax.race.types import RaceParams, RaceState
+from quadjax.vehicle.airframe import RPM_PER_RAD_S
 from quadjax.vehicle.battery import Battery, BatteryState, battery_at_start
 from quadjax.vehicle.protocol import State, VehicleModel
 

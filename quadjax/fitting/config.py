@@ -21,7 +21,8 @@ from quadjax.core.sections import (
     model_validator,
 )
 from quadjax.core.yaml_files import Tree, parse_overrides
-from quadjax.fitting.formats import ALLOWED, FORMATS, QUANTITIES, RPM_PER_RAD_S
+from quadjax.fitting.formats import ALLOWED, FORMATS, QUANTITIES
+from quadjax.vehicle.airframe import RPM_PER_RAD_S
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.vehicle_file import VehicleFile
 

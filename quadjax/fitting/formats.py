@@ -18,11 +18,11 @@ from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
 from quadjax.fitting import ulog
 from quadjax.fitting.log_table import LogTable
+from quadjax.vehicle.airframe import RPM_PER_RAD_S
 
 Quantities = dict[str, np.ndarray]
 Names = Mapping[str, list[str]]  # of columns, by quantity
 Units = Mapping[str, tuple[str, float]]  # names, "" for a number, and factors, by quantity
-RPM_PER_RAD_S = 30.0 / math.pi
 FLIP = np.array([1.0, -1.0, -1.0])  # FLU <-> FRD
 ENU = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 TO_NED = {"NED": Rotation.identity(), "ENU": ENU}  # from the world frame of a log

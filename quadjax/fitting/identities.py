@@ -17,7 +17,7 @@ from quadjax.fitting.formats import FROM_FRD, TO_NED
 from quadjax.fitting.signals import low_pass
 from quadjax.vehicle.airframe import GRAVITY_M_S2
 
-BAND_HZ = 5.0  # of the motion that is compared
+MOTION_BAND_HZ = 5.0  # of the motion that is compared
 LEAST_RATE_HZ = 50.0  # least sample rate of the comparison
 EDGE_S = 0.3  # left out at either end, where the filters distort the signals
 SHORTEST_S = 1.0  # least duration without the ends
@@ -65,8 +65,8 @@ class Signals:
         return INDEPENDENT * 2.0 * band * np.count_nonzero(self.inner) / self.rate
 
     def low_pass(self, values: np.ndarray) -> np.ndarray:
-        """Signals (.., m, k) below ``BAND_HZ``."""
-        return low_pass(values, self.rate, min(BAND_HZ, 0.4 * self.rate), axis=-2)
+        """Signals (.., m, k) below ``MOTION_BAND_HZ``."""
+        return low_pass(values, self.rate, min(MOTION_BAND_HZ, 0.4 * self.rate), axis=-2)
 
 
 def filter_signals(quantities: Arrays, flying: np.ndarray, rate: float) -> Signals | None:
@@ -97,7 +97,7 @@ class Identity(NamedTuple):
     nonlinear: tuple[str, ...]  # others on which it depends
     bias: float  # standard deviation of its mean that sensors and filters explain
     noise: float  # standard deviation below which it is zero
-    band: float = BAND_HZ  # Hz, of its noise; 0 where only its mean counts
+    band: float = MOTION_BAND_HZ  # Hz, of its noise; 0 where only its mean counts
 
 
 def derivative(values: np.ndarray, rate: float) -> np.ndarray:

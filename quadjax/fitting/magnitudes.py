@@ -12,7 +12,7 @@ from quadjax.fitting.log_table import LogTable, time_fault
 
 LEAST_ROWS = 50  # of a log, for the filters
 DETERMINANT_SLACK = 0.1  # of a rotation matrix, from 1
-SLOWEST_RPM, FASTEST_RPM = 2000.0, 60_000.0  # rpm, medians of propeller speeds in flight
+SLOWEST_RPM, FASTEST_RPM = 2000.0, 60_000.0  # medians of propeller speeds in flight
 MAX_SCALE_RATIO = 1.25  # largest factor on a scale that another unit explains
 USUAL_PAIRS = 7  # of poles, of most motors of racing quadcopters
 

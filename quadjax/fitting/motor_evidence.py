@@ -10,14 +10,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from quadjax.fitting.identities import BAND_HZ as MOTION
-from quadjax.fitting.identities import Change, Signals, derivative
+from quadjax.fitting.identities import MOTION_BAND_HZ, Change, Signals, derivative
 from quadjax.fitting.nominal import ModelInputs, nominal
 from quadjax.fitting.signals import first_order
 from quadjax.vehicle.constants import constant_names, from_values
 from quadjax.vehicle.motor import MotorConstants
 
-BAND_HZ = (1.0, 16.0)
+MOTOR_BAND_HZ = (1.0, 16.0)
 TYPICAL_LAG_S = 0.05  # typical of rotors that follow their commands
 TYPICAL_RPM = (2500.0, 35_000.0)  # of a racing drone's motors at commands 0 and 1
 # Signs (3, 4) of roll, pitch and yaw of motors 1 to 4, by the nominal model.
@@ -44,7 +43,7 @@ class MotorEvidence:
     def __init__(self, signals: Signals) -> None:
         """The evidence of a log's signals; of commands, where ``followed`` is among them."""
         rate = signals.rate
-        band = (BAND_HZ[0], min(BAND_HZ[1], 0.4 * rate))
+        band = (MOTOR_BAND_HZ[0], min(MOTOR_BAND_HZ[1], 0.4 * rate))
         sections = butter(2, band, "band", fs=rate, output="sos")
 
         def band_passed(values: np.ndarray) -> np.ndarray:
@@ -72,7 +71,7 @@ class MotorEvidence:
         self.followed = differences("followed") if "followed" in signals.values else None
         self.inner, self.rate = np.flatnonzero(signals.inner), rate
         # Independent samples: of the moments, of the commands.
-        self.counts = (signals.count(band[1] - band[0]), signals.count(MOTION))
+        self.counts = (signals.count(band[1] - band[0]), signals.count(MOTION_BAND_HZ))
 
     def gains(self, quantity: str, changes: Sequence[Change]) -> np.ndarray:
         """Gains (h,) of log-likelihood by changes of "gyro", "rpm" or "followed", else 0."""

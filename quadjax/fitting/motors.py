@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from quadjax.fitting.axes import fit_axes
-from quadjax.fitting.formats import RPM_PER_RAD_S
 from quadjax.fitting.lags import (
     BETWEEN,
     TAU_RANGE_S,
@@ -43,6 +42,7 @@ from quadjax.fitting.regression import Estimate, Parameter, Problem, half_second
 from quadjax.fitting.samples import CUTOFF_HZ, filtered_regressors, prepare
 from quadjax.fitting.signals import derivative, first_order, low_pass
 from quadjax.flights.flight import MOTORS, Flight, Signal
+from quadjax.vehicle.airframe import RPM_PER_RAD_S
 from quadjax.vehicle.battery import BatteryConfig
 from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.rate import RateConstants

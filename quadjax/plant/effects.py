@@ -14,10 +14,9 @@ import jax.numpy as jnp
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Rotors, Vec3, cross
 from quadjax.plant.config import ImuConfig, RotorConfig
-from quadjax.vehicle.airframe import AIR_DENSITY
+from quadjax.vehicle.airframe import AIR_DENSITY, RPM_PER_RAD_S
 from quadjax.vehicle.motor import MotorConstants
 
-RPM_PER_RAD_S = 60.0 / (2.0 * jnp.pi)
 GROUND_DISCS = 4.0  # rotors close together, which act as one disc of their area
 LOCK_NUMBER = 3.0  # aerodynamic / inertial moment of a blade; assumed
 HUB_STIFFNESS = 0.03  # N m/rad, all hubs together; assumed

@@ -31,6 +31,7 @@ from quadjax.plant.config import (
 from quadjax.plant.gusts import GustState
 from quadjax.plant.sensors import GroundTruth
 from quadjax.vehicle import motor
+from quadjax.vehicle.airframe import RPM_PER_RAD_S
 from quadjax.vehicle.battery import BatteryParams, battery_params, charge_rate, highest_rpm
 from quadjax.vehicle.constants import constant_names
 from quadjax.vehicle.motor import MotorConstants, hover_rpm
@@ -40,7 +41,7 @@ from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
 
 NOT_DRAWN = ("g", "rpm_min", "rpm_max")  # constants without deviation
-BEBOP, BEBOP_RADIUS_M = CONFIGS / "vehicles" / "bebop1.yaml", 0.07  # m
+BEBOP, BEBOP_RADIUS_M = CONFIGS / "vehicles" / "bebop1.yaml", 0.07
 
 
 class PlantParams(struct.PyTreeNode):
@@ -265,7 +266,7 @@ def update(
     body = physics.body.replace(attitude=euler.replace(z=wrap_angle(euler.z)))
     turning = (body.rates - state.physics.body.rates) * (1.0 / params.step)
     phase = jax.tree.map(
-        lambda angle, w: wrap_angle(angle + w * (params.step / effects.RPM_PER_RAD_S)),
+        lambda angle, w: wrap_angle(angle + w * (params.step / RPM_PER_RAD_S)),
         state.phase,
         body.actuators,
     )

@@ -9,11 +9,11 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.fitting.formats import RPM_PER_RAD_S
 from quadjax.fitting.motors import MAP, with_simulated_speeds
 from quadjax.fitting.samples import settled
 from quadjax.flights.flight import Flight, vehicle_signals
 from quadjax.vehicle import estimator
+from quadjax.vehicle.airframe import RPM_PER_RAD_S
 from quadjax.vehicle.estimator import EstimatorState
 from quadjax.vehicle.protocol import Measurement, VehicleModel, VehicleParams
 

@@ -17,7 +17,6 @@ from quadjax.core import quaternion
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors
 from quadjax.export.library import VEHICLE
-from quadjax.export.observation import RPM_PER_RAD_S
 from quadjax.plant import flight, plant
 from quadjax.plant.flight import Drones, Plan
 from quadjax.policy.pilot import command_ranges
@@ -25,6 +24,7 @@ from quadjax.race import laps
 from quadjax.race.environment import Race, without_training_limits
 from quadjax.race.laps import Laps, LapState
 from quadjax.race.types import RaceParams
+from quadjax.vehicle.airframe import RPM_PER_RAD_S
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.protocol import State, VehicleModel
 

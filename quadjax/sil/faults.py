@@ -10,6 +10,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from quadjax.vehicle.airframe import RPM_PER_RAD_S
+
 DEGREES = 180.0 / math.pi
 FIELDS = {  # fields of a state that can be stuck or NaN, and their names in ``VEHICLE``
     "position": "position",
@@ -25,7 +27,7 @@ WRONG_UNITS: dict[str, tuple[tuple[str, ...], float]] = {
     "rates=deg/s": (("rates",), DEGREES),
     "position=mm": (("position",), 1000.0),
     "velocity=cm/s": (("velocity", "body_velocity"), 100.0),
-    "rotor_speed=rpm": (("rotor_speed",), 30.0 / math.pi),
+    "rotor_speed=rpm": (("rotor_speed",), RPM_PER_RAD_S),
 }
 
 

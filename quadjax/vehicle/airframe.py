@@ -11,7 +11,7 @@ from quadjax.core.sections import Field, Section, Unit, model_validator
 GRAVITY_M_S2 = 9.81
 AIR_DENSITY = 1.225  # kg/m^3
 Moment = Annotated[float, Field(gt=0, le=100)]
-RAD_S_PER_RPM = 2.0 * math.pi / 60.0
+RAD_S_PER_RPM, RPM_PER_RAD_S = 2.0 * math.pi / 60.0, 30.0 / math.pi
 SPREAD = 0.02  # of lengths that describe one frame
 ALTERNATIVES = (  # of which one may be given
     ("thrust_to_weight", "max_thrust", "thrust_coefficient"),
