@@ -74,8 +74,8 @@ def sil(
         drop: Probability that a state is lost.
         late: Probability that a state is late.
         delay: Delay of late states, ms (default: 20).
-        stuck: A field of a state has the numbers of the state before; may be repeated.
-        nan: A number of a state's field is NaN; may be repeated.
+        stuck: Probability that a field has the numbers of the state before; may be repeated.
+        nan: Probability that a number of a field is NaN; may be repeated.
         wrong_unit: Unit of a state's field; may be repeated.
         view: Show the flight in the browser.
     """
