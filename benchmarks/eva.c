@@ -1,5 +1,5 @@
-/* What Frama-C analyzes: a pilot that is called with any state, any time and any memory of the race and
- * the estimators; and the network with any integers. See eva.py. */
+/* What Frama-C analyzes: a pilot that is called with any state, any time and any memory of the race
+ * and the estimators; and the network with any integers. See eva.py. */
 #include "__fc_builtin.h"
 #include "qj_pilot.h"
 #include "quadjax_policy.h"

@@ -50,7 +50,8 @@ float asinf(float x);
 float atan2f(float y, float x) {
   const float up = (y < 0.0F) ? -y : y;
   const float aside = (x < 0.0F) ? (x + up) / (up - x + 1e-20F) : (x - up) / (x + up + 1e-20F);
-  const float angle = ((x < 0.0F) ? 2.3561945F : 0.7853982F) - 0.9817F * aside + 0.1963F * aside * aside * aside;
+  const float middle = (x < 0.0F) ? 2.3561945F : 0.7853982F;
+  const float angle = middle - 0.9817F * aside + 0.1963F * aside * aside * aside;
   return (y < 0.0F) ? -angle : angle;
 }
 float asinf(float x) { return atan2f(x, 1.0F - 0.5F * x * x); }

@@ -3,9 +3,10 @@
  *
  * A policy is a constant struct, defined by the header that quadjax export writes. Nothing is
  * allocated and no file is read; the C library is used for sinf, cosf, asinf, atan2f, sqrtf, logf,
- * floorf and fabsf only. The network computes the same bits on every processor and by every compiler: it is
- * integers, proven not to overflow for any input. The rest is ordinary float, which differs in its last
- * digits between processors unless it is compiled with -ffp-contract=off and without -ffast-math.
+ * floorf and fabsf only. The network computes the same bits on every processor and by every
+ * compiler: it is integers, proven not to overflow for any input. The rest is ordinary float, which
+ * differs in its last digits between processors unless it is compiled with -ffp-contract=off and
+ * without -ffast-math.
  *
  * World north-east-down, body forward-right-down, SI units. Rotors and their commands are in the
  * order front-left, front-right, rear-right, rear-left.
@@ -24,9 +25,9 @@ extern "C" {
 #define QJ_COMMANDS 4
 #define QJ_ONE (INT32_C(1) << 30) /* an input of the network at the edge of its range */
 #define QJ_RPM_PER_RAD_S 9.549296585513721F
-#define QJ_LARGEST 1e6F /* magnitude of a number of a state: beyond it there is no such state */
+#define QJ_LARGEST 1e6F /* magnitude of a number of a state: one beyond it is taken as wrong */
 
-/* ---- the kernels of the network ------------------------------------------------------------------ */
+/* ---- the kernels of the network -------------------------------------------------------------- */
 
 /* The NEON kernel is compiled in for an ARM target whose flags allow NEON, and there it is the
  * default. With -DQJ_WITH_NEON=1 GCC compiles it in whatever the flags say (a stock Paparazzi build
@@ -45,13 +46,14 @@ typedef enum { QJ_SCALAR = 0, QJ_NEON = 1 } qj_kernel;
 #define QJ_DEFAULT_KERNEL QJ_SCALAR
 #endif
 
-/* ---- what a policy consists of ------------------------------------------------------------------- */
+/* ---- what a policy consists of --------------------------------------------------------------- */
 
 /* What the commands are: rotor speeds in rpm, motor commands of 0 to 1, or p, q, r in rad/s and
  * specific thrust in m/s^2. */
 typedef enum { QJ_RPM = 1, QJ_MOTOR = 2, QJ_RATES_THRUST = 3 } qj_kind;
 
-/* Fields of the observation; "gate" is the frame of the target gate: through it, to its right, down. */
+/* Fields of the observation; "gate" is the frame of the target gate: through it, to its right,
+ * down. */
 typedef enum {
   QJ_POSITION = 1,     /* 3, of the drone from the gate's center, gate, m */
   QJ_VELOCITY = 2,     /* 3, gate, m/s */
@@ -89,8 +91,9 @@ typedef struct {
   const int64_t *bias;    /* the half that rounds is folded in */
 } qj_layer;
 
-/* What counts as passing: inside the opening at the first sample past its plane, inside it where the
- * line between two samples meets the plane, or in a box along the world's axes at that sample. */
+/* What counts as passing: inside the opening at the first sample past its plane, inside it where
+ * the line between two samples meets the plane, or in a box along the world's axes at that
+ * sample. */
 typedef enum { QJ_SQUARE = 0, QJ_INTERPOLATED = 1, QJ_WORLD_BOX = 2 } qj_gate_test;
 
 typedef struct {
@@ -112,8 +115,8 @@ typedef struct {
   const float *bias;
 } qj_float_layer;
 
-/* What the networks of a residual add to the model, of rotor speeds scaled from low_rpm .. high_rpm to
- * -1 .. 1, body velocity and, for the moment, body rates. */
+/* What the networks of a residual add to the model, of rotor speeds scaled from low_rpm .. high_rpm
+ * to -1 .. 1, body velocity and, for the moment, body rates. */
 typedef struct {
   float low_rpm;
   float high_rpm;
@@ -177,7 +180,7 @@ typedef struct {
   const uint32_t *test_trace; /* digest of every sum */
 } qj_policy;
 
-/* ---- the network --------------------------------------------------------------------------------- */
+/* ---- the network ----------------------------------------------------------------------------- */
 
 /* By the bits, and volatile, so that it holds with -ffast-math too. */
 static inline uint32_t qj_is_finite(float value) {
@@ -198,21 +201,21 @@ typedef struct {
 /* Inputs of the network (inputs floats) as integers. */
 qj_status qj_quantize(const qj_policy *policy, const float *x, int32_t *q);
 
-/* Commands of inputs, within their limits, in units of 2^-fraction_bits. trace: digest of every sum,
- * or 0. */
+/* Commands of inputs, within their limits, in units of 2^-fraction_bits. trace: digest of every
+ * sum, or 0. */
 void qj_forward(const qj_policy *policy, qj_kernel kernel, const int32_t *q,
                 int32_t command[QJ_COMMANDS], uint32_t *trace);
 
-/* The same as floats in their unit; rpm are whole ones. counter: where the counter of the noise is, or
- * a null pointer for the mean action. With one, a policy that samples its actions draws Gaussian noise:
- * the same number gives the same noise, and a call moves it on. */
+/* The same as floats in their unit; rpm are whole ones. counter: where the counter of the noise is,
+ * or a null pointer for the mean action. With one, a policy that samples its actions draws Gaussian
+ * noise: the same number gives the same noise, and a call moves it on. */
 void qj_act(const qj_policy *policy, qj_kernel kernel, const int32_t *q, uint32_t *counter,
             float command[QJ_COMMANDS]);
 
 /* Whether the tables have their hash, and every self-test its integers. */
 uint32_t qj_self_test(const qj_policy *policy, qj_kernel kernel);
 
-/* ---- the observation ----------------------------------------------------------------------------- */
+/* ---- the observation ------------------------------------------------------------------------- */
 
 /* A drone as a policy observes it. */
 typedef struct {
@@ -238,7 +241,7 @@ uint32_t qj_observes(const qj_policy *policy, qj_field field);
 void qj_euler_of(const float quaternion[4], float euler[3]);
 void qj_quaternion_of(const float euler[3], float quaternion[4]);
 
-/* ---- the race ------------------------------------------------------------------------------------ */
+/* ---- the race -------------------------------------------------------------------------------- */
 
 typedef enum {
   QJ_NO_EVENT = 0,
@@ -259,7 +262,7 @@ typedef struct {
 void qj_race_start(qj_race *race);
 qj_event qj_race_update(const qj_policy *policy, qj_race *race, const float position[3]);
 
-/* ---- the estimators ------------------------------------------------------------------------------ */
+/* ---- the estimators -------------------------------------------------------------------------- */
 
 /* One sample of the sensors of an estimator. */
 typedef struct {

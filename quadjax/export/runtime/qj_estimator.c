@@ -10,10 +10,11 @@
  */
 #include "qj.h"
 
-/* ---- the model ----------------------------------------------------------------------------------- */
+/* ---- the model ------------------------------------------------------------------------------- */
 
 /* The output of a network with ReLU, of inputs in ``from``; both buffers are overwritten. */
-static const float *run_network(const qj_float_layer *layer, uint32_t layers, float *from, float *to) {
+static const float *run_network(const qj_float_layer *layer, uint32_t layers, float *from,
+                                float *to) {
   for (uint32_t number = 0U; number < layers; ++number) {
     const float *weight = layer[number].weights;
     for (uint32_t row = 0U; row < layer[number].rows; ++row) {
@@ -56,11 +57,11 @@ static void model_of(const qj_disturbance_model *model, const qj_measured *m, fl
            model->k_h * (v[0] * v[0] + v[1] * v[1]);
   if (model->residual != 0) {
     float buffer[2][QJ_MAX_WIDTH];
-    residual_inputs(model->residual, m, buffer[0]);
-    out[5] += run_network(model->residual->thrust, model->residual->thrust_layers, buffer[0], buffer[1])[0];
-    residual_inputs(model->residual, m, buffer[0]);
-    const float *const moment =
-        run_network(model->residual->moment, model->residual->moment_layers, buffer[0], buffer[1]);
+    const qj_residual *const r = model->residual;
+    residual_inputs(r, m, buffer[0]);
+    out[5] += run_network(r->thrust, r->thrust_layers, buffer[0], buffer[1])[0];
+    residual_inputs(r, m, buffer[0]);
+    const float *const moment = run_network(r->moment, r->moment_layers, buffer[0], buffer[1]);
     for (uint32_t i = 0U; i < 3U; ++i) {
       out[i] += moment[i];
     }
@@ -68,7 +69,8 @@ static void model_of(const qj_disturbance_model *model, const qj_measured *m, fl
 }
 
 /* For each channel what is low-passed, x, and what is differentiated, d. */
-static void unexplained(const qj_disturbance_model *model, const qj_measured *m, float x[6], float d[6]) {
+static void unexplained(const qj_disturbance_model *model, const qj_measured *m, float x[6],
+                        float d[6]) {
   const float *const w = m->rotor_rpm;
   const float *const n = m->rates;
   const float *const inertia = model->inertia;
@@ -85,7 +87,7 @@ static void unexplained(const qj_disturbance_model *model, const qj_measured *m,
   d[2] -= model->k_r2 * (-w[0] + w[1] - w[2] + w[3]);
 }
 
-/* ---- moment and force ---------------------------------------------------------------------------- */
+/* ---- moment and force ------------------------------------------------------------------------ */
 
 /* The filter's memory after a sample, in the transposed direct form II. */
 static void remember(const qj_disturbance_model *model, qj_disturbance *memory, uint32_t i, float x,
@@ -119,7 +121,7 @@ void qj_disturbance_update(const qj_disturbance_model *model, qj_disturbance *me
   }
 }
 
-/* ---- the highest rotor speed --------------------------------------------------------------------- */
+/* ---- the highest rotor speed ----------------------------------------------------------------- */
 
 void qj_battery_start(qj_battery *memory, const float rotor_rpm[4]) {
   for (uint32_t i = 0U; i < 4U; ++i) {

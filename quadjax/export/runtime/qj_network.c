@@ -3,9 +3,9 @@
  *
  * Every hidden neuron is  y = max(0, (bias + sum of weight * x) >> 32),  the rounding half folded
  * into its bias: ReLU, rounding and requantization are one shift by a whole word. quadjax export
- * proves for every input that no partial sum reaches 2^63 and no y exceeds 2^30 - 1. Right shifts of
- * negative numbers are arithmetic, as in every compiler that this is for; the self-test would see it
- * otherwise.
+ * proves for every input that no partial sum reaches 2^63 and no y exceeds 2^30 - 1. Right shifts
+ * of negative numbers are arithmetic, as in every compiler that this is for; the self-test would
+ * see it otherwise.
  */
 #include <math.h>
 #include <stddef.h>
@@ -28,7 +28,7 @@ enum { WORD = 32 };
 #endif
 #endif
 
-/* Tables are in blocks of four rows; within a block, the four weights of column 0, of column 1 .. */
+/* Tables are in blocks of four rows; within a block, the four weights of column 0, then of 1 .. */
 enum { ROWS_PER_BLOCK = 4 };
 
 /* The kernels stay functions of their own: they need all registers, and clang with NEON would take
@@ -57,10 +57,10 @@ typedef struct {
 #endif
 
 #ifdef HAS_SMLAL
-/* Every ARMv7 has LDRD and SMLAL, Cortex-M included; compilers use the first one rarely. Two rows at
- * a time: their sums, their weights and the inputs are what the registers of a 32-bit ARM hold. The
- * weights are at r6, the inputs at lr, their end in the register that is no frame pointer, and the
- * block is on the stack. */
+/* Every ARMv7 has LDRD and SMLAL, Cortex-M included; compilers use the first one rarely. Two rows
+ * at a time: their sums, their weights and the inputs are what the registers of a 32-bit ARM hold.
+ * The weights are at r6, the inputs at lr, their end in the register that is no frame pointer, and
+ * the block is on the stack. */
 #ifdef __thumb__
 #define END "r11"
 #else
@@ -253,7 +253,7 @@ void qj_forward(const qj_policy *policy, qj_kernel kernel, const int32_t *q,
   }
 }
 
-/* ---- commands ------------------------------------------------------------------------------------ */
+/* ---- commands -------------------------------------------------------------------------------- */
 
 /* A number in (0, 1]: a hash (lowbias32 of C. Wellons) of a counter that steps by 2^32 over the
  * golden ratio. */
@@ -309,7 +309,7 @@ void qj_act(const qj_policy *policy, qj_kernel kernel, const int32_t *q, uint32_
   }
 }
 
-/* ---- the self-test ------------------------------------------------------------------------------- */
+/* ---- the self-test --------------------------------------------------------------------------- */
 
 /* Of words of four bytes, the low one first. */
 static uint32_t digest_words(uint32_t value, const void *words, uint32_t count) {

@@ -13,7 +13,7 @@ static void set(float *to, const float *from, uint32_t count) {
   }
 }
 
-/* ---- start --------------------------------------------------------------------------------------- */
+/* ---- start ----------------------------------------------------------------------------------- */
 
 static uint32_t is_close(float rate, float other) {
   return (fabsf(rate - other) <= RATE_TOLERANCE * other) ? 1U : 0U;
@@ -71,7 +71,7 @@ void qj_pilot_reset(qj_pilot *pilot) {
   }
 }
 
-/* ---- states -------------------------------------------------------------------------------------- */
+/* ---- states ---------------------------------------------------------------------------------- */
 
 /* Whether a time is after another, on a clock that wraps around. */
 static uint32_t is_after(uint32_t time_us, uint32_t other_us) {
@@ -131,13 +131,14 @@ static qj_measured interpolated(const qj_measured *from, const qj_measured *to, 
 /* Start the estimators at a sample. They continue with their last estimates. */
 static void start_estimators(qj_pilot *pilot, const qj_measured *measured) {
   if (pilot->policy->disturbance != 0) {
-    qj_disturbance_start(pilot->policy->disturbance, &pilot->disturbance, measured, pilot->estimate);
+    qj_disturbance_start(pilot->policy->disturbance, &pilot->disturbance, measured,
+                         pilot->estimate);
   }
   qj_battery_start(&pilot->battery, measured->rotor_rpm);
 }
 
-/* The estimators, with the commands, rpm, that were in effect before this state. A filter would take
- * the change over a gap for that of one call: its calls are filled in, along a line. */
+/* The estimators, with the commands, rpm, that were in effect before this state. A filter would
+ * take the change over a gap for that of one call: its calls are filled in, along a line. */
 static void estimate(qj_pilot *pilot, const qj_measured *measured, uint32_t calls,
                      const float *commands) {
   const qj_policy *const policy = pilot->policy;
@@ -183,7 +184,7 @@ static void read_state(qj_pilot *pilot, const qj_vehicle *vehicle, const float *
   pilot->has_state = 1U;
 }
 
-/* ---- calls --------------------------------------------------------------------------------------- */
+/* ---- calls ----------------------------------------------------------------------------------- */
 
 /* One step of the policy. */
 static void decide(qj_pilot *pilot) {

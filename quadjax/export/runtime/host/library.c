@@ -1,5 +1,5 @@
-/* A policy as a library of this machine, for quadjax verify and quadjax sil. Each function takes many
- * rows at once. Not for flight. */
+/* A policy as a library of this machine, for quadjax verify and quadjax sil. Each function takes
+ * many rows at once. Not for flight. */
 #include "qj_pilot.h"
 #include "quadjax_policy.h"
 

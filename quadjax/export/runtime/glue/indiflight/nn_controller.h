@@ -1,8 +1,9 @@
 /*
- * A quadjax policy for INDIflight, src/main/flight/neural_controllers/: observation, gates, commands.
+ * A quadjax policy for INDIflight, src/main/flight/neural_controllers/: observation, gates,
+ * commands.
  *
- * World north-east-down, body forward-right-down, SI units. Rotors and motors in INDIflight's order:
- * rear-right, front-right, rear-left, front-left.
+ * World north-east-down, body forward-right-down, SI units. Rotors and motors in INDIflight's
+ * order: rear-right, front-right, rear-left, front-left.
  */
 #pragma once
 
@@ -12,9 +13,9 @@
 
 #define GATES_AHEAD 1
 
-/* The rate at which the firmware calls nn_control (inner loops per second by rate_denom): change it if
- * yours differs. A policy that observes its last action runs at the rate of its training, and its
- * commands are held in between; any other one runs at every call. */
+/* The rate at which the firmware calls nn_control (inner loops per second by rate_denom): change it
+ * if yours differs. A policy that observes its last action runs at the rate of its training, and
+ * its commands are held in between; any other one runs at every call. */
 #ifndef NN_CONTROL_HZ
 #define NN_CONTROL_HZ 500
 #endif
@@ -34,8 +35,8 @@ typedef struct {
   uint32_t gates_missed;  /* since nn_reset: planes crossed beside the opening */
 } nn_counters_t;
 
-/* Tests the policy; returns 0, or what is wrong. Call it at start-up and refuse to arm unless it is 0.
- * nn_reset and nn_control call it if nobody did, which takes as long as about 20 inferences. If
+/* Tests the policy; returns 0, or what is wrong. Call it at start-up and refuse to arm unless it is
+ * 0. nn_reset and nn_control call it if nobody did, which takes as long as about 20 inferences. If
  * something is wrong all motor commands are 0. */
 const char *nn_load(void);
 

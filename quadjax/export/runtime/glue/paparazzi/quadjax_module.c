@@ -1,5 +1,5 @@
 /* See quadjax_module.h. The only file that knows Paparazzi: what it reads from the state interface,
- * what it tells the ground. Everything that computes is in the files next to it. */
+ * what it commands, what it tells the ground. The pilot is in the files next to it. */
 #include "modules/quadjax/quadjax_module.h"
 
 #include <sys/auxv.h>
@@ -29,7 +29,8 @@
 #ifndef QUADJAX_MOTORS
 #define QUADJAX_MOTORS {0, 1, 2, 3}
 #endif
-/* Time of the position, on the clock of get_sys_time_usec(): of the last message of motion capture. */
+/* Time of the position, on the clock of get_sys_time_usec(): that of the last message of motion
+ * capture. */
 #ifndef QUADJAX_POSITION_US
 #define QUADJAX_POSITION_US \
   (gps.last_msg_time * 1000000U + usec_of_cpu_ticks(gps.last_msg_ticks))
@@ -54,7 +55,7 @@ static Butterworth2LowPass felt_thrust; /* of the accelerometer along body -z, m
 static Butterworth2LowPass given_thrust; /* of the thrust command, autopilot units */
 #endif
 
-/* ---- what the autopilot knows ------------------------------------------------------------------ */
+/* ---- what the autopilot knows ---------------------------------------------------------------- */
 
 static void read_vehicle(qj_vehicle *vehicle) {
   const struct NedCoor_f *const position = stateGetPositionNed_f();
@@ -85,7 +86,7 @@ static void read_vehicle(qj_vehicle *vehicle) {
   }
 }
 
-/* ---- the ground --------------------------------------------------------------------------------- */
+/* ---- the ground ------------------------------------------------------------------------------ */
 
 #if defined(PERIODIC_TELEMETRY) && PERIODIC_TELEMETRY
 static void send_status(struct transport_tx *trans, struct link_device *dev) {
@@ -113,7 +114,7 @@ static void check_policy(struct preflight_result_t *result) {
 }
 #endif
 
-/* ---- the module --------------------------------------------------------------------------------- */
+/* ---- the module ------------------------------------------------------------------------------ */
 
 void quadjax_module_init(void) {
   qj_kernel kernel = QJ_DEFAULT_KERNEL;
