@@ -9,7 +9,7 @@ from quadjax.vehicle.constants import Sign, declarations
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import base_model
 
-MAX_THRUST_TO_WEIGHT = 1000.0  # times the weight
+MAX_THRUST_TO_WEIGHT = 1000.0
 INERTIA_TOLERANCE = 1.1  # of the triangle inequality, as moments of inertia are measured
 SIGNS: dict[Sign, tuple[Callable[[float], bool], str]] = {  # of constants, and what is allowed
     "positive": (lambda value: value > 0, "a positive number"),

@@ -52,7 +52,7 @@ def load_config(
             path. Overrides with ``=`` are merged over all parts.
         code: names ``module:OBJECT`` that may be imported; None: all. Empty for a file that the
             user did not name as a config, such as the ``config.yaml`` of a folder.
-        units_written: gets the numbers that are in units of the race in the files.
+        units_written: filled with the numbers that are in units of the race in the files.
 
     Raises:
         InputError: one line that names the file, the key, the value and what is allowed.
@@ -148,7 +148,7 @@ def parse_config(
     Args:
         tree: plain values, as in a file. Keys that have a default may be missing.
         source: the file of the tree, or of each value, for messages.
-        units_written: gets the numbers that are in units of the race in the tree.
+        units_written: filled with the numbers that are in units of the race in the tree.
 
     Raises:
         InputError: a key or a value that is not allowed.

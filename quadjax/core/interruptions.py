@@ -12,7 +12,7 @@ from types import FrameType
 from quadjax.core.errors import INTERRUPTED
 
 STOPPING = (
-    b"\nstopping after the next evaluation (a compilation may take 5 s more); "
+    b"\nstopping after the next evaluation; a compilation ends after 5 s, without saving; "
     b"Ctrl-C again ends without saving\n"
 )
 REPEAT_AFTER_S = 0.05  # after which a lost interruption is repeated

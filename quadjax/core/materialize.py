@@ -2,10 +2,10 @@
 
 XLA fuses a cheap producer into each of its consumers and recomputes it there. A simulator is a
 short chain of cheap operations with many outputs: each output recomputes the whole chain. The
-functions here put values behind a conditional on ``opaque_true``, which is true, but the compiler
-does not know it. XLA does not fuse through a conditional.
+functions here put values behind a conditional on ``opaque_true``, which is always true, although
+the compiler cannot know it. XLA does not fuse through a conditional.
 
-All of this affects the speed on CPUs only, and no value: ignore ``opaque_true`` while reading.
+All of this changes the speed on CPUs, and no value: ignore ``opaque_true`` while reading.
 
 ``jax.lax.optimization_barrier`` does not help: XLA's CPU pipeline removes barriers before it fuses.
 For one step of the race (256 drones) XLA counts 1.7e6 operations without materialization, 2.0e6

@@ -22,7 +22,7 @@ from quadjax.race.track import GateSection
 
 Groups = Mapping[str, Sequence[Flight]]
 UP = np.array([1.0, 1.0, -1.0])  # NED to north, east, height
-ELEVATION_DEG, AZIMUTH_DEG = 28.0, -62.0  # deg, of the view in perspective
+ELEVATION_DEG, AZIMUTH_DEG = 28.0, -62.0  # of the view in perspective
 GROUPS_PER_ROW = 4  # groups next to each other
 MAX_DRAWN_FLIGHTS = 5  # flights of a group that are all drawn; of more the fastest one
 DARKEST, LIGHTEST = 0.0, 0.78  # of the color map: lines that are lighter do not show on white

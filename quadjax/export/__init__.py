@@ -1,1 +1,1 @@
-"""Fixed-point C of a policy: ranges, format, proof, bit-exact emulators, emitter, checks."""
+"""C of a policy: fixed-point network and its proof, constant arrays, runtime, checks."""

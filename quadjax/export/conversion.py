@@ -33,7 +33,7 @@ COMMENT_WIDTH = 94
 class Options:
     """Options of an export; see ``convert.export_c``. The report keeps them."""
 
-    name: str  # of the files and of the table in C
+    name: str  # of the header and of the policy in it
     ranges: dict[str, float] = dataclasses.field(default_factory=dict)
     sample_rate: float = SAMPLE_RATE
     cutoff: float = CUTOFF

@@ -38,7 +38,7 @@ from quadjax.export.targets import DEFAULT_TARGET, TARGETS, find_target, runtime
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy, warn_of_other_race
 
-FOLDERS = ("paparazzi", "indiflight", "c")
+FOLDERS = tuple(dict.fromkeys(target.folder for target in TARGETS.values()))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,10 +122,11 @@ def export_c(
         The numbers in C, the proof and the report.
 
     Raises:
-        InputError: no such target; a sample rate or cut-off out of range, or one for a vehicle
-            without an estimator; a policy that cannot be converted, that leaves its declared
-            ranges, or of which fewer than 90% of the simulated flights finish; a race that differs
-            from that of the policy file; a folder that cannot be written, or that holds an export.
+        InputError: no such target; a sample rate or cut-off out of range, or one for a policy
+            without an estimator on board; a policy that cannot be converted, that leaves its
+            declared ranges, or of which fewer than 90% of the simulated flights finish; a race that
+            differs from that of the policy file; a folder that cannot be written, or that holds an
+            export.
     """
     rates = (
         SAMPLE_RATE if sample_rate is None else sample_rate,

@@ -35,7 +35,7 @@ class DisturbanceModel:
 
     sample_rate: float  # Hz
     constants: dict[str, float]  # of ``CONSTANTS``
-    inertia: tuple[float, float, float]
+    inertia: tuple[float, float, float]  # kg m^2
     feedback: tuple[float, ...]
     low_pass: tuple[float, ...]
     derivative: tuple[float, ...]

@@ -63,7 +63,7 @@ class Library:
         return out
 
     def race(self, positions: np.ndarray, target: int) -> np.ndarray:
-        """Rows (n, 2) uint32, the event and the target after it, along positions (n, 3)."""
+        """Rows (n, 2) uint32, the event and the target after it, along positions (n, 3), m."""
         out = np.zeros((len(positions), 2), np.uint32)
         out[0, 1] = target
         path = np.ascontiguousarray(positions, np.float32)
@@ -71,7 +71,7 @@ class Library:
         return out
 
     def disturbances(self, measured: np.ndarray) -> np.ndarray:
-        """Moments and forces (n, 6) along measurements (n, 13): ``qj_measured``."""
+        """Moments, N m, and forces, m/s^2, (n, 6) along ``qj_measured`` (n, 13)."""
         return self._rows("disturbances", 6, np.float32, measured.astype(np.float32))
 
     def highest_rpm(self, samples: np.ndarray) -> np.ndarray:
@@ -109,7 +109,7 @@ class Pilot:
         self._library.qj_pilot_reset(*pointers(self._memory))
 
     def standby(self, vehicle: np.ndarray | None) -> None:
-        """A call in which the policy does not fly; ``vehicle`` as of ``step``."""
+        """A call in which the policy does not fly; ``vehicle`` as of ``call``."""
         place = None if vehicle is None else pointers(vehicle)[0]
         self._library.qj_pilot_standby(*pointers(self._memory), place)
 

@@ -40,7 +40,7 @@ def identifier(text: str) -> str:
 
 
 def symbol_name(name: str | None, file: str) -> str:
-    """The name of the files and of the table in C: the requested one, or the policy file's.
+    """The name of the header and of the policy in it: the requested one, or the policy file's.
 
     Raises:
         InputError: a name that is no identifier, or that of a header of C, of the runtime or of a

@@ -23,7 +23,7 @@ from quadjax.race.rules import TAKEOFF_DEPTH_M
 SMOOTHNESS_S = 1e-4  # weight of the squared command differences, relative to the command range
 LEFT_OUT_FRACTION = 1e-3  # of a command's range: a motor map may have no slope at its lowest
 LEG_SECONDS = (0.02, 60.0)
-MAX_ITERATIONS = 500  # of IPOPT, at most
+MAX_ITERATIONS = 500  # of IPOPT
 SLOWEST_PASSAGE_M_S = 0.2  # smallest speed through a gate
 BEYOND_PLANE_M = 1e-5  # at the end of a leg; much less than any margin
 UNLIMITED_RAD_S = 500.0  # body rates that no drone reaches

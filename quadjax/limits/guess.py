@@ -23,9 +23,9 @@ from quadjax.policy.race import warn_of_other_race
 
 INTERVALS = 20  # of a leg, on the first mesh
 POLICY_LAPS = 4
-MAX_RATES_RAD_S = 12.0  # body rates of a guess at most
+MAX_RATES_RAD_S = 12.0  # body rates of a guess
 SPEEDS_M_S = (8.0, 4.0, 6.0, 2.5)  # means along the splines
-OPENING_FRACTION = 0.8  # fraction of the openings, within which random points are
+OPENING_FRACTION = 0.8  # of the openings, within which random points are
 UPRIGHT = 0.15  # smallest vertical part of the force, where the pitch is limited
 
 

@@ -77,10 +77,8 @@ def touches_frame(
     start = to_opening_frame(g, before - g.position)
     way = to_opening_frame(g, after - g.position) - start
     along_axis = jnp.where(jnp.abs(way.x) < SHORTEST_STEP_M, SHORTEST_STEP_M, way.x)
-    middle, half = (
-        -start.x / along_axis,
-        depth / jnp.abs(along_axis),
-    )  # of the part within the depth
+    # Of the part within the depth.
+    middle, half = -start.x / along_axis, depth / jnp.abs(along_axis)
     first, last = jnp.maximum(middle - half, 0.0), jnp.minimum(middle + half, 1.0)
     ends = start + way * first, start + way * last
     passes = inside_opening(ends[0], g, inner) & inside_opening(ends[1], g, inner)

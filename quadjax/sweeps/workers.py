@@ -18,7 +18,7 @@ from quadjax.core.errors import InputError
 from quadjax.sweeps.schema import Executor
 
 SPAWN = multiprocessing.get_context("spawn")  # JAX does not support fork
-MEMORY_FRACTION = 0.9  # fraction of a GPU's memory that its trials share
+MEMORY_FRACTION = 0.9  # of a GPU's memory that its trials share
 
 
 class LocalWorkers:

@@ -32,7 +32,7 @@ from quadjax.vehicle.residual import is_shipped, read_residual
 
 # For a program that runs once: 1.8 instead of 2.5 s of CPU time to compile, and the same bits.
 QUICK = {"xla_backend_optimization_level": 1}
-REFERENCE_LEG_M, REFERENCE_TIME_S = 3.5, 0.43  # m and s, of the paper's track and the Bebop 1
+REFERENCE_LEG_M, REFERENCE_TIME_S = 3.5, 0.43  # of the paper's track and the Bebop 1
 
 
 def training_environment(config: Config) -> Environment[RaceParams, RaceState]:

@@ -150,7 +150,7 @@ def _run(
     elif resume and display is not None:
         display.note(f"{folder}: no checkpoint to resume from, starting a new run")
     fly = make_flights(job.config, job.training.task.env_params)
-    with _garbage_kept():
+    with _without_garbage_collection():
         state = None if restored is None else restored.state
         chunk, first = _compile(job, fly, state, stop, display)
     run_state = restored or RunState(state=first, best=jax.device_get(first.evaluated))
@@ -206,10 +206,10 @@ def _save(job: _Job, folder: Path, checkpoints: Checkpoints, run_state: RunState
 
 
 @contextlib.contextmanager
-def _garbage_kept() -> Iterator[None]:
-    """Python's garbage collector is off: it visits the many objects of a trace again and again.
+def _without_garbage_collection() -> Iterator[None]:
+    """Turn Python's garbage collector off: it visits the many objects of a trace repeatedly.
 
-    Without it, the compilation of `e2e` takes 0.7 s of 19.5 s of CPU time less.
+    This saves 0.7 s of the 19.5 s of CPU time that the compilation of ``e2e`` takes.
     """
     enabled = gc.isenabled()
     gc.disable()

@@ -11,7 +11,7 @@ from quadjax.flights.flight import MOTORS, Flight, Signal
 from quadjax.flights.gates import is_same_track
 from quadjax.race.track import GateSection
 
-ARM_M, ROTOR_M = 0.12, 0.076  # m, center to rotor and radius of a rotor, of a Bebop
+ARM_M, ROTOR_M = 0.12, 0.076  # center to rotor and radius of a rotor, of a Bebop
 RECORD = "quadjax-flights/1"  # format of the data of a page
 MAX_NAMED_FLIGHTS = 3  # flights in a title
 MISSING = -32768  # of its integers: no value
