@@ -12,9 +12,8 @@ ZIG = "-DBENCH_MATH=1 -fno-math-errno -O3 -std=c99 -fno-sanitize=all -Wl,--image
 PAPARAZZI = "-mfloat-abi=softfp -mfpu=vfp -march=armv7-a -mtune=cortex-a8 -O3 -std=gnu99 -static"
 # Betaflight's and INDIflight's flags for STM32F7 and H7.
 FPU = {"cortex-m7": ("fp_armv8d16sp", "fpv5-sp-d16"), "cortex-m4": ("vfp4d16sp", "fpv4-sp-d16")}
-WITH_MATH = (
-    "-nostartfiles -lm -lc -lgcc -Wl,--defsym=_init=0,--defsym=_fini=0".split()
-)  # after the sources
+# After the sources.
+WITH_MATH = "-nostartfiles -lm -lc -lgcc -Wl,--defsym=_init=0,--defsym=_fini=0".split()
 
 
 def zig(target: str, cpu: str) -> Compiler:

@@ -14,9 +14,10 @@ from quadjax.export.estimators import (
     make_battery_model,
     make_disturbance_model,
 )
-from quadjax.export.header import PolicyInC, glue_header, policy_header, sizes_header
+from quadjax.export.header import glue_header, policy_header, sizes_header
 from quadjax.export.network import convert
 from quadjax.export.observation import make_observation
+from quadjax.export.policy_in_c import PolicyInC
 from quadjax.export.proof import Proof, prove
 from quadjax.export.race_source import PolicyRace
 from quadjax.export.ranges import track_ranges

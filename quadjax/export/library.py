@@ -10,7 +10,8 @@ import numpy as np
 from quadjax.core.files import write_bytes
 from quadjax.export.compiler import Compiler, host
 from quadjax.export.conversion import Converted
-from quadjax.export.header import COMMANDS, glue_header
+from quadjax.export.header import glue_header
+from quadjax.export.policy_in_c import COMMANDS
 from quadjax.export.states import STATE
 from quadjax.export.targets import RUNTIME
 

@@ -43,7 +43,7 @@ class FixedLayer:
 
 @dataclasses.dataclass(frozen=True)
 class FixedNetwork:
-    """A policy as integers: what the emulators run and the C contains."""
+    """A policy as integers: what the emulator runs and the C contains."""
 
     box: InputBox
     layers: tuple[FixedLayer, ...]  # hidden layers and the output layer
