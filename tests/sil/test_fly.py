@@ -105,9 +105,12 @@ def test_a_stuck_field_has_the_numbers_of_the_state_before():
 
 
 def test_wrong_units_and_nan_change_a_copy_of_the_state():
-    channel = Channel(Faults(nan={"position": 1.0}, units=("rates=deg/s",)), 0)
-    original = state()
+    units = ("rates=deg/s", "rotor_speed=rpm", "velocity=cm/s")
+    channel, original = Channel(Faults(nan={"position": 1.0}, units=units), 0), state()
+    original["rotor_speed"], original["velocity"] = 100.0 * np.pi, 2.0
     found = channel.newest(original, 0.0)
+    np.testing.assert_allclose(found["rotor_speed"], 3000.0, rtol=1e-6)
+    np.testing.assert_array_equal(found["velocity"], 200.0)
     np.testing.assert_allclose(found["rates"], [0.0, 180.0, -180.0], rtol=1e-6)
     assert np.isnan(found["position"]).sum() == 1 and np.isfinite(original["position"]).all()
     assert set(FIELDS.values()) <= set(VEHICLE.names)
