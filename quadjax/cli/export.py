@@ -37,7 +37,7 @@ def export(
     allow_other_race: opt.AllowOtherRace = False,
     overwrite: opt.Flag = False,
 ) -> None:
-    """Convert a policy file to fixed-point C.
+    """Convert a policy file to C: the network in fixed point, the rest in float.
 
     DIR gets the network, the observation, the gates, the estimators and self-tests
     as constant arrays in NAME.h, the C runtime, the glue of the target, and a report of

@@ -1,4 +1,4 @@
-"""The public function of the exporter: a policy to a folder of fixed-point C."""
+"""The public function of the exporter: a policy to a folder of C."""
 
 import contextlib
 import dataclasses
