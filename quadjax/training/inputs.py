@@ -57,10 +57,10 @@ def trace_race(config: Config, params: RaceParams) -> None:
 
 @single_precision
 def without_gradient(config: Config, params: RaceParams) -> list[str]:
-    """Lines on the user's reward terms that SHAC cannot differentiate.
+    """Warnings of the user's reward terms that SHAC cannot differentiate.
 
-    They are those without a gradient, at random steps, with respect to the states and actions of a
-    step and of the step before it, which reach a memory.
+    They are those without a gradient at ``RANDOM_STEPS`` random steps, with respect to the states
+    and actions of a step and of the step before it, which reach a memory.
     """
     race = make_environment(config)
     if not (race.user_terms and isinstance(config.learner, SHAC)):
@@ -86,8 +86,8 @@ def without_gradient(config: Config, params: RaceParams) -> list[str]:
 
     keys = jax.random.split(jax.random.key(0), RANDOM_STEPS)
     return [
-        f"reward.terms {name}: no gradient: SHAC learns from it through the critic only, from what "
-        "is observed; ppo needs no gradient"
+        f"reward.terms {name}: no gradient in {RANDOM_STEPS} random steps: SHAC learns from it "
+        "through the critic only, from what is observed; ppo needs no gradient"
         for name, norms in jax.jit(jax.vmap(slopes))(keys).items()
         if not jnp.any(norms)
     ]
