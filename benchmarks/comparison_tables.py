@@ -33,7 +33,7 @@ def described(label: str, laps: np.ndarray, rows: Sequence[Tree]) -> Tree:
     seeds = totals(laps, FAILED_AFTER).mean(axis=(0, 2))
     simulated = [row["simulated"] for row in rows if "simulated" in row]
     return {
-        "contender": label,
+        "contender": label.replace("m/s^2", "m/s²"),
         "drones and seeds": f"{laps.shape[0]}, {laps.shape[1]}",
         "score, s": float(seeds.mean()),
         "of each seed, s": ", ".join(f"{score:.2f}" for score in seeds),
@@ -100,7 +100,9 @@ def effects(data: dict[str, list[Tree]]) -> list[Tree]:
             earlier, later = map(flights, pair)
             saved = leads(later, earlier, FAILED_AFTER).score
             counts = f"{earlier.shape[1]}, {later.shape[1]}"
-            made.append({"from": before, "to": after, "trainings": counts, "saved, s": str(saved)})
+            names = [label.replace("m/s^2", "m/s²") for label in (before, after)]
+            ends = dict(zip(("from", "to"), names, strict=True))
+            made.append(ends | {"trainings": counts, "saved, s": str(saved)})
     return made
 
 

@@ -77,7 +77,7 @@ BODY = "sampled|with a body=body|body and hall=hall|random starts"
 BODY += "|random starts, with a body=random starts, body"
 SCORED = "drones and seeds|score, s|of each seed, s|time, s|finished"
 OF_PARTS = "E2E=contender|drones and seeds|score, s|of each seed, s|finished|simulated, s"
-OF_STEPS = f"step=contender|{SCORED}"
+OF_STEPS = "step=contender|score, s|of each seed, s|time, s|finished"
 LEADS = "score, s|first lap, s|each later lap, s"
 MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"
 TABLES = {

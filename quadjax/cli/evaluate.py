@@ -48,7 +48,7 @@ def evaluate(
     body: Annotated[opt.Positive | None, Parameter(metavar="RADIUS")] = None,
     offsets: opt.Flag = False,
     format: Literal["text", "markdown", "latex"] | None = None,
-    json: opt.AnyFile = None,
+    json: opt.JsonFile = None,
     states: States = None,
     figures: Annotated[opt.Folder | None, Parameter(group=opt.FILES)] = None,
 ) -> None:

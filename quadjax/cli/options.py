@@ -245,6 +245,5 @@ JsonFile = Annotated[
     Output((".json",)),
     Parameter(metavar="FILE.json", group=FILES, help="Write the numbers."),
 ]
-AnyFile = Annotated[Path | None, Output(), Parameter(metavar="FILE.json", group=FILES)]
 NpzFile = Annotated[Path | None, Output((".npz",)), Parameter(metavar="FILE.npz", group=FILES)]
 Picture = Annotated[Path | None, Output(PICTURES), Parameter(metavar="FILE.png", group=FILES)]

@@ -10,7 +10,7 @@ from quadjax.config.checks import check
 from quadjax.config.layers import LEARNERS, config_layers, drop_replaced, override_layers
 from quadjax.config.scales import WithUnit, in_plain_units
 from quadjax.config.schema import Config, Rules, Vehicle
-from quadjax.core.errors import InputError, close_match, prefixed
+from quadjax.core.errors import InputError, close_match, prefixed, short
 from quadjax.core.imports import load_object
 from quadjax.core.resources import find_config
 from quadjax.core.section_keys import fields_at
@@ -58,6 +58,9 @@ def load_config(
         InputError: one line that names the file, the key, the value and what is allowed.
     """
     name, *more = [str(config)] if os.path.exists(config) else SEPARATOR.split(str(config))
+    if isinstance(overrides, str | dict):
+        allowed = "a list of texts, such as ['track=figure8']"
+        raise InputError(f"overrides: {short(overrides)}, allowed: {allowed}")
     overrides = [*more, *overrides]
     path = find_config(name)
     parts = [override[1:] for override in overrides if override.startswith("+")]

@@ -62,6 +62,8 @@ def find_config(name: Path | str, folder: str = "") -> Path:
     names, kind = preset_names(folder), KINDS.get(folder, folder)
     place, hint = _listed([path.parent]), close_match(path.stem, names)
     listed = f"{kind} of quadjax: {', '.join(names)}"
+    if "=" in str(name):
+        raise InputError(f"{name}: an override, allowed after the name of a config: {listed}")
     raise InputError(f"{name or repr(name)}: no such file in {place}{hint}; {listed}")
 
 

@@ -401,3 +401,14 @@ def test_one_opening_for_all_gates():
 def test_a_part_for_another_learner_names_the_algorithm():
     expected = "schedules.learner.std: no such number with learner.algorithm=ppo"
     assert expected in refusal("e2e_ppo", "+gate_edge")
+
+
+@pytest.mark.parametrize("overrides", ["track=figure8", {"track": "figure8"}])
+def test_overrides_are_a_list(overrides):
+    with pytest.raises(InputError, match="overrides: .*, allowed: a list of texts"):
+        load_config("e2e", overrides)
+
+
+def test_an_override_in_the_place_of_a_config_is_named_as_one():
+    with pytest.raises(InputError, match="track=figure8: an override, allowed after the name of"):
+        load_config("track=figure8")
