@@ -1,7 +1,7 @@
 """``quadjax sil``."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
@@ -38,6 +38,7 @@ def sil(
     race: opt.Race = None,
     plant: opt.PlantConfig | None = None,
     simulator: opt.Flag = False,
+    autopilot: Literal["betaflight"] | None = None,
     laps: opt.Laps | None = None,
     runs: opt.Runs = 1,
     seed: opt.Seed = 0,
@@ -58,7 +59,9 @@ def sil(
     this machine, without the glue of an autopilot. It gets the drone's state at
     every control step and returns the command. The drone is a plant; key=value
     overrides change its config. With --simulator, it is the simulator that policies
-    are trained in, which the models racing and a2rl need. OUTPUT/NAME gets
+    are trained in, which the models racing and a2rl need. With --autopilot
+    betaflight, the C moves the sticks of Betaflight's firmware, which flies the
+    model racing of the policy's vehicle in that simulator. OUTPUT/NAME gets
     states.npz (for quadjax view and quadjax report), sil.json and table.txt.
 
     Example: quadjax sil e2e --late 0.2 --delay 20
@@ -68,6 +71,7 @@ def sil(
         target: Processor and autopilot of a policy; that of DIR for a folder.
         race: Config of the race (default: config.yaml of DIR, or that of the policy).
         simulator: Fly in the simulator of the training.
+        autopilot: A firmware that flies, for policies of the model rate.
         laps: Laps of a run (default: evaluate.laps).
         runs: Number of runs.
         seed: Seed of drones and faults.
@@ -80,14 +84,19 @@ def sil(
         view: Show the flight in the browser.
     """
     name_of_source, source = source, _source_of(source)
-    opt.exclude(plant=plant, simulator=simulator)
+    opt.exclude(plant=plant, simulator=simulator, autopilot=autopilot)
     if source.is_dir():
         opt.refuse("with the folder of an export", target=target)
     if not late:
         opt.refuse("without --late", delay=delay)
     plant, target = plant or PLANT, target or DEFAULT_TARGET
-    if simulator and overrides:
-        raise InputError(f"{overrides[0]} has no effect with --simulator")
+    if overrides and (simulator or autopilot):
+        option = "--simulator" if simulator else "--autopilot"
+        raise InputError(f"{overrides[0]} has no effect with {option}")
+    if autopilot:
+        faults_given = {"drop": drop, "late": late, "stuck": stuck, "nan": nan}
+        named = {key: value or None for key, value in faults_given.items()}
+        opt.refuse("with --autopilot", **named, wrong_unit=wrong_unit)
     stuck_at, nans = opt.by_name("--stuck", stuck), opt.by_name("--nan", nan)
     units = tuple(wrong_unit or ())
     with loading():
@@ -95,8 +104,9 @@ def sil(
         from quadjax.sil.run import FILES, Setting, fly_all
 
     faults = Faults(drop, late, (DELAY if delay is None else delay) / 1000.0, stuck_at, nans, units)
-    drone = None if simulator else load_plant_config(plant, overrides)
-    setting = Setting(source, drone, laps, runs, seed, faults, race, target)
+    drone = None if simulator or autopilot else load_plant_config(plant, overrides)
+    how = (laps, runs, seed, faults, race, target, autopilot is not None)
+    setting = Setting(source, drone, *how)
     folder = output / name
     with (
         results(folder, "flight", FILES, overwrite) as new,

@@ -14,15 +14,15 @@ COUNTED = ("outside steps", "late calls", "nan calls")  # by the pilot, in a rac
 
 
 class Autopilot(Protocol):
-    """What flies a simulated drone: called once in every control step.
+    """What flies a simulated drone: called once in every control step."""
 
-    Attributes:
-        label: for the table.
-        files: what flies, as text.
-    """
+    @property
+    def label(self) -> str:
+        """For the table."""
 
-    label: str
-    files: str
+    @property
+    def files(self) -> str:
+        """What flies, as text."""
 
     def begin(self) -> None:
         """A race begins with the next call."""

