@@ -104,8 +104,9 @@ class Betaflight:
         Raises:
             InputError: the firmware does not arm.
         """
+        flown = len(self._firmware.exchanges)
         arm(self._firmware)
-        self._firmware.exchanges.clear()
+        del self._firmware.exchanges[flown:]
         self._pilot.begin()
         self._calls, self._status, self._command = 0, 0, np.zeros(4, np.float32)
 
@@ -214,4 +215,5 @@ def betaflight_in_race(
     pilot = ExportedC(converted, work, 1.0 / config.rules.time_step)
     with Firmware(find_firmware(), sticks.settings(float(constants.turning.w1))) as firmware:
         check_turns(firmware, constants)
+        firmware.exchanges.clear()
         yield drone, Betaflight(firmware, pilot, sticks, every)
