@@ -27,6 +27,12 @@ def _thrust(limit: int) -> tuple[str, ...]:
 YAW = ("indi_simple.yaw_rate=4",)  # of the inner loop
 STEPS = {
     **{f"INDI, {limit} m/s^2": Step("indi_cyberzoo", _thrust(limit)) for limit in range(13, 21)},
+    **{
+        f"INDI, {limit} m/s^2, no priorities": Step(
+            "indi_cyberzoo", _thrust(limit), ("indi_simple.saturation=clip",)
+        )
+        for limit in (17, 20)
+    },
     "INDI, 20 m/s^2, 6 rad/s": Step("indi_cyberzoo", (*_thrust(20), *FAST), YAW),
     "INDI, 20 m/s^2, 6 rad/s, filters of 20 Hz": Step(
         "indi_cyberzoo", (*_thrust(20), *FAST), ("indi_simple.cutoff=20", *YAW)
@@ -63,6 +69,8 @@ CHARGED = {
 ALL = STEPS | WITHOUT | CHARGED
 CHANGES = (  # steps from INDI to E2E, and back
     ("INDI, 17 m/s^2", "INDI, 20 m/s^2"),
+    ("INDI, 17 m/s^2", "INDI, 17 m/s^2, no priorities"),
+    ("INDI, 20 m/s^2", "INDI, 20 m/s^2, no priorities"),
     ("INDI, 17 m/s^2", "INDI on the motors, 17 m/s^2"),
     ("INDI on the motors, 17 m/s^2", "INDI on the motors, 20 m/s^2"),
     ("INDI on the motors, 20 m/s^2", "INDI on the motors, 20 m/s^2, 6 rad/s"),

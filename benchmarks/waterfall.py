@@ -21,6 +21,8 @@ PATH = (  # from above
     "INDI, 17 m/s^2",
     "INDI, 18 m/s^2",
     "INDI, 20 m/s^2",
+    "INDI, 17 m/s^2, no priorities",
+    "INDI, 20 m/s^2, no priorities",
     "INDI on the motors, 17 m/s^2",
     "INDI on the motors, 20 m/s^2",
     "INDI on the motors, 20 m/s^2, 6 rad/s",

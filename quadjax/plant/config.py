@@ -180,6 +180,11 @@ class IndiSimpleConfig(Section):
         None, description="units per m/s^2 of thrust error; null: of the vehicle's model in hover"
     )
     yaw_rate: Positive = Field(2.09, description="rad/s, largest commanded yaw rate: 120 deg/s")
+    saturation: Literal["clip"] | None = Field(
+        None,
+        description="where motors saturate; clip: each is limited by itself; null: roll and pitch "
+        "have priority over thrust, thrust over yaw",
+    )
 
 
 class PlantConfig(Section):

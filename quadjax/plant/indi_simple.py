@@ -13,7 +13,7 @@ force::
 
 All commands are in units of the autopilot: 9600 of them are the range of the motors. Its mixer adds
 them to the command of each motor; when one saturates, roll and pitch have priority over thrust, and
-thrust over yaw.
+thrust over yaw, or with ``saturation: clip`` each motor is limited by itself.
 """
 
 import jax
@@ -162,10 +162,13 @@ def mixed(params: SimpleParams, command: Rotors) -> Rotors:
     roll, pitch, yaw = (u * f for u, f in zip(command.components(), MIX, strict=False))
     low, high = Rotors.same(jnp.zeros_like(roll)), Rotors.same(jnp.full_like(roll, COMMAND_UNITS))
     turn = Rotors(*(a * roll + b * pitch for a, b in zip(ROLL, PITCH, strict=True)))
-    turn = turn * turn_scale(turn, low, high)
-    base = turn + jnp.clip(command.w4, highest(turn * -1.0), COMMAND_UNITS - highest(turn))
     added = Rotors(*(sign * yaw for sign in YAW))
-    motors = base + added * added_scale(base, added, low, high)
+    if params.numbers.saturation == "clip":
+        motors = turn + command.w4 + added
+    else:
+        turn = turn * turn_scale(turn, low, high)
+        base = turn + jnp.clip(command.w4, highest(turn * -1.0), COMMAND_UNITS - highest(turn))
+        motors = base + added * added_scale(base, added, low, high)
     unit = (params.rpm_max - params.rpm_min) / COMMAND_UNITS
     return jax.tree.map(
         lambda u: jnp.clip(params.rpm_min + u * unit, params.rpm_min, params.rpm_max), motors
