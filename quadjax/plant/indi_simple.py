@@ -16,6 +16,8 @@ them to the command of each motor; when one saturates, roll and pitch have prior
 thrust over yaw, or with ``saturation: clip`` each motor is limited by itself.
 """
 
+from typing import Any, Literal
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -154,16 +156,22 @@ def update(
     limited = turn.replace(w4=jnp.maximum(turn.w4, 0.0))
     parts = (actuators, *actuators_12, rates, *rates_12, thrust, *thrust_12)
     state = SimpleState(limited, *parts, du_yaw)
-    return state, mixed(params, limited)
+    return state, mixed(params, limited, params.numbers.saturation)
 
 
-def mixed(params: SimpleParams, command: Rotors) -> Rotors:
-    """Rpm commands of commands of roll, pitch, yaw and thrust, within the range of the motors."""
+def mixed(params: Any, command: Rotors, saturation: Literal["clip"] | None = None) -> Rotors:
+    """Rpm commands of commands of roll, pitch, yaw and thrust, within the range of the motors.
+
+    Args:
+        params: numbers with ``rpm_min`` and ``rpm_max``.
+        command: in units of the autopilot.
+        saturation: as in the config.
+    """
     roll, pitch, yaw = (u * f for u, f in zip(command.components(), MIX, strict=False))
     low, high = Rotors.same(jnp.zeros_like(roll)), Rotors.same(jnp.full_like(roll, COMMAND_UNITS))
     turn = Rotors(*(a * roll + b * pitch for a, b in zip(ROLL, PITCH, strict=True)))
     added = Rotors(*(sign * yaw for sign in YAW))
-    if params.numbers.saturation == "clip":
+    if saturation == "clip":
         motors = turn + command.w4 + added
     else:
         turn = turn * turn_scale(turn, low, high)
