@@ -25,24 +25,23 @@ def refusal(capsys, *arguments):
     return error
 
 
-@pytest.mark.parametrize("other", ["policy", "config", "states", "override", "link", "pipe"])
+@pytest.mark.parametrize("other", ["policy", "config", "override", "link", "pipe"])
 def test_an_output_does_not_replace_another_file_of_the_command(tmp_path, capsys, other):
-    policy, config, states = tmp_path / "p.npz", tmp_path / "c.yaml", tmp_path / "s.npz"
+    policy, config, states = tmp_path / "p.npz", tmp_path / "c.json", tmp_path / "s.npz"
     policy.write_text("mine")
     config.write_text("base: e2e")
     (tmp_path / "l.npz").symlink_to(policy)
-    os.mkfifo(tmp_path / "pipe")
+    os.mkfifo(pipe := tmp_path / "pipe.json")
     extra = {
         "policy": ("--states", policy),
         "config": ("--json", config),
-        "states": ("--states", tmp_path / "a.csv", "--json", tmp_path / "." / "a.csv"),
         "override": (f"vehicle.residual={states}", "--states", states),
         "link": ("--states", tmp_path / "l.npz"),
-        "pipe": ("--json", tmp_path / "pipe"),
+        "pipe": ("--json", pipe),
     }[other]
     error = refusal(capsys, "evaluate", config, "--policy", policy, *extra)
     says = {"link": "is a link", "pipe": "not a regular file"}.get(other, "is also")
-    assert says in error and (tmp_path / "pipe").is_fifo()
+    assert says in error and pipe.is_fifo()
     assert policy.read_text() == "mine" and config.read_text() == "base: e2e"
 
 

@@ -70,7 +70,7 @@ def test_the_lead_is_that_of_e2e_on_the_same_drone():
 def test_steps_and_charges_have_a_line_each():
     data = [row("", "", seed, [[[1.0, 2.0]]], step="INDI, 13 m/s^2") for seed in (0, 1)]
     (line,) = steps({"interventions": data}, STEPS)
-    assert (line["contender"], line["drones and seeds"]) == ("INDI, 13 m/s^2", "1, 2")
+    assert (line["contender"], line["drones and seeds"]) == ("INDI, 13 m/s²", "1, 2")
     made = {"name": "e2e battery.charge=[0.2, 0.2]", "policy": "e2e.npz"}
     made |= {"plant": ["cyberzoo", "battery.charge=[0.2, 0.2]"]}
     made |= {"total": {"sampled": [15.5]}, "finished": {"sampled": [99]}}
