@@ -25,13 +25,19 @@ def _thrust(limit: int) -> tuple[str, ...]:
 
 
 YAW = ("indi_simple.yaw_rate=4",)  # of the inner loop
+ALLOCATIONS = {
+    "no priorities": ("indi_simple.saturation=clip",),
+    "effectiveness of the model": (
+        "indi_simple.effectiveness=null",
+        "indi_simple.thrust_gain=null",
+    ),
+}
 STEPS = {
     **{f"INDI, {limit} m/s^2": Step("indi_cyberzoo", _thrust(limit)) for limit in range(13, 21)},
     **{
-        f"INDI, {limit} m/s^2, no priorities": Step(
-            "indi_cyberzoo", _thrust(limit), ("indi_simple.saturation=clip",)
-        )
+        f"INDI, {limit} m/s^2, {label}": Step("indi_cyberzoo", _thrust(limit), words)
         for limit in (17, 20)
+        for label, words in ALLOCATIONS.items()
     },
     "INDI, 20 m/s^2, 6 rad/s": Step("indi_cyberzoo", (*_thrust(20), *FAST), YAW),
     "INDI, 20 m/s^2, 6 rad/s, filters of 20 Hz": Step(
@@ -69,8 +75,11 @@ CHARGED = {
 ALL = STEPS | WITHOUT | CHARGED
 CHANGES = (  # steps from INDI to E2E, and back
     ("INDI, 17 m/s^2", "INDI, 20 m/s^2"),
-    ("INDI, 17 m/s^2", "INDI, 17 m/s^2, no priorities"),
-    ("INDI, 20 m/s^2", "INDI, 20 m/s^2, no priorities"),
+    *(
+        (f"INDI, {limit} m/s^2", f"INDI, {limit} m/s^2, {label}")
+        for limit in (17, 20)
+        for label in ALLOCATIONS
+    ),
     ("INDI, 17 m/s^2", "INDI on the motors, 17 m/s^2"),
     ("INDI on the motors, 17 m/s^2", "INDI on the motors, 20 m/s^2"),
     ("INDI on the motors, 20 m/s^2", "INDI on the motors, 20 m/s^2, 6 rad/s"),
