@@ -22,7 +22,8 @@ def row(name: str, laps: np.ndarray, **origin: object) -> Tree:
     done = laps[np.isfinite(laps).all(axis=1)]
     first, *later = (f"{x:.2f}" for x in done.mean(axis=0))
     total = {"lap 1": first, "laps 2 to 6": ", ".join(later), "total": f"{done.sum(1).mean():.2f}"}
-    return {"name": name, **origin, **total, "completed": f"{len(done)} of {len(laps)}"}
+    total["completed"] = f"{len(done)} of {len(laps)}"
+    return {"name": name, "label": name, **origin, **total}
 
 
 def cyberzoo_flights(e2e: options.PolicyFile, indi: options.PolicyFile, /) -> None:
