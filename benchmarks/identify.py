@@ -5,6 +5,7 @@ From hover, without effects and delays, with the gains of ``exact`` (the default
 """
 
 import functools
+import statistics
 from typing import NamedTuple
 
 import jax
@@ -107,8 +108,12 @@ def identify() -> None:
             limited = f"{1e3 * SECONDS * step.saturated:4.0f} ms"
             fit = f"{1e3 * step.tau:5.1f} ms {step.error:6.1%} {limited}{mark}"
             print(f"{step.axis} {step.start:6.2f} {step.target:6.2f} {fit}")
-            taus[step.axis].append(round(1e3 * step.tau, 1))
-        rows.write("identify", [row | taus])
+            taus[step.axis].append(1e3 * step.tau)
+        texts = {
+            axis: f"{statistics.median(found):.1f} ({min(found):.1f}-{max(found):.1f})"
+            for axis, found in taus.items()
+        }
+        rows.write("identify", [row | texts])
 
 
 if __name__ == "__main__":

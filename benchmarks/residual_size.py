@@ -3,7 +3,7 @@
 ``python -m benchmarks.residual_size [FILE.npz ...] [--plant NAME ...]`` measures what each
 residual, and the median of 40 drones of each plant, adds to the nominal model along one flight of
 six laps from hover (``e2e.npz``, mean action): the force along body z per mass in m/s^2 (down is
-positive) and the moments in N m.
+positive) and the moments in mN m.
 """
 
 from collections.abc import Sequence
@@ -83,7 +83,9 @@ def sizes(force: np.ndarray, moment: np.ndarray) -> list[float]:
 
 def row(name: str, command: str, values: Sequence[float], **plant: Sequence[str]) -> Tree:
     """The row of a residual or a plant."""
-    rms, deviation = (", ".join(f"{x:.4f}" for x in part) for part in (values[3:6], values[7:]))
+    rms, deviation = (
+        ", ".join(f"{1e3 * x:.1f}" for x in part) for part in (values[3:6], values[7:])
+    )
     return {
         "name": name,
         "command": f"python -m benchmarks.residual_size {command}",
