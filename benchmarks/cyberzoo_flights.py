@@ -21,7 +21,8 @@ def row(name: str, laps: np.ndarray, **origin: object) -> Tree:
     """Mean laps and total of the flights (flights, laps) that finish, s."""
     done = laps[np.isfinite(laps).all(axis=1)]
     first, *later = (f"{x:.2f}" for x in done.mean(axis=0))
-    total = {"lap 1": first, "laps 2 to 6": ", ".join(later), "total": f"{done.sum(1).mean():.2f}"}
+    total = {"lap 1": first, "laps 2 to 6": ", ".join(later)}
+    total["six laps"] = f"{done.sum(axis=1).mean():.2f}"
     total["completed"] = f"{len(done)} of {len(laps)}"
     return {"name": name, "label": name, **origin, **total}
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from benchmarks.comparison_tables import contenders, effects, lead_rows, steps
-from benchmarks.data_tables import DRONES, INDI, best_laps
+from benchmarks.data_tables import AGAIN, DRONES, INDI, ablations, best_laps
 from benchmarks.plant_tables import CHARGES, charged, looped, unchanged
 from benchmarks.settings import Tree
 from benchmarks.steps import PARTS, STEPS
@@ -85,6 +85,7 @@ OF_STEPS = "step=contender|score, s|of each seed, s|time, s|finished"
 SIZES = "model=name|Fz mean / rms / largest, m/s^2=force|Mx, My, Mz rms, mN m=moments"
 SIZES += "|Fz deviation=force deviation|deviations, mN m=moment deviations"
 LOOP = "gains of=name|roll rate, ms=p|pitch rate, ms=q|yaw rate, ms=r|thrust, ms=T"
+OF_EFFECTS = "|".join(f"{x}log-likelihood|{x}E2E|{x}INDI" for x in ("", AGAIN))
 LEADS = "score, s|first lap, s|each later lap, s"
 MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"
 TABLES = {
@@ -108,6 +109,9 @@ TABLES = {
     "identify": Table("identify", LOOP),
     "hover": Table("hover", "name|10^6 steps|caught, %"),
     "laps": Table("", "|".join(["track", *DRONES.values(), INDI]), best_laps),
+    "cyberzoo": Table("cyberzoo", "flights=policy|lap 1|laps 2 to 6|six laps|finished=completed"),
+    "posterior": Table("posterior", "number=name|range|median|90%"),
+    "ablations": Table("", f"without|{OF_EFFECTS}", ablations),
     "effects": Table("interventions", "from|to|trainings|saved, s", effects),
 }
 
