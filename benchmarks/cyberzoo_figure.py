@@ -1,4 +1,4 @@
-"""Figure of the posterior of ``benchmarks.calibrate``: each number in its prior, correlations.
+"""Posterior of ``benchmarks.calibrate``: a figure, and the rows of ``posterior.json``.
 
 python -m benchmarks.cyberzoo_figure benchmarks/cyberzoo.npz docs/images/cyberzoo.png
 """
@@ -8,18 +8,38 @@ from typing import Annotated
 
 import numpy as np
 
+from benchmarks import rows
 from benchmarks.calibration_emulator import posterior
 from benchmarks.calibration_likelihood import PRIORS
+from benchmarks.settings import Tree
 from quadjax.cli import script
 from quadjax.cli.options import PICTURES, Output
 from quadjax.core.plotting import INK, MUTED, SERIES, new_figure, save_figure, tidy
 
 KEYS = list(PRIORS)
+COMMAND = "python -m benchmarks.cyberzoo_figure benchmarks/cyberzoo.npz docs/images/cyberzoo.png"
+
+
+def row(key: str, shares: np.ndarray) -> Tree:
+    """Range, median and 90% of a number, of its shares (chains,) of the prior."""
+    prior = PRIORS[key]
+    values = [prior.low, prior.high, *prior.value(np.quantile(shares, (0.05, 0.5, 0.95)))]
+    lowest, highest, low, middle, high = (f"{float(f'{x:.3g}'):g}" for x in values)
+    return {
+        "name": key,
+        "command": COMMAND,
+        "plant": ["cyberzoo"],
+        "seeds": [0],
+        "range": f"{lowest} to {highest}",
+        "median": middle,
+        "90%": f"{low} to {high}",
+    }
 
 
 def cyberzoo_figure(file: Path, output: Annotated[Path, Output(PICTURES)]) -> None:
-    """Draw the posterior of each number in its prior, and the correlations."""
+    """Draw the posterior of each number in its prior and the correlations, and write the rows."""
     chains = posterior(file)
+    rows.write("posterior", [row(key, chains[:, i]) for i, key in enumerate(KEYS)])
     drawn = new_figure(10.0, 4.6)
     left, right = drawn.subplots(1, 2)
     tidy(left)

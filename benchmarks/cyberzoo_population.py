@@ -4,7 +4,7 @@ python -m benchmarks.cyberzoo_population E2E.npz INDI.npz benchmarks/cyberzoo.np
 
 Draws of the posterior fly both policies again. Of those with which nine of ten flights finish, as
 no crash of the real drone is reported, the twenty that their own flights make likeliest are written
-to ``configs/plant/cyberzoo.yaml``. Prints what is known of each number, and the flights.
+to ``configs/plant/cyberzoo.yaml``. Prints the flights.
 """
 
 from pathlib import Path
@@ -14,10 +14,9 @@ import numpy as np
 from benchmarks.calibrate import drones_of, told
 from benchmarks.calibration_emulator import posterior, stored
 from benchmarks.calibration_fleet import Fleet
-from benchmarks.calibration_likelihood import FINISHED, NUMBERS, PRIORS, log_likelihood
+from benchmarks.calibration_likelihood import FINISHED, NUMBERS, log_likelihood
 from quadjax.cli import options, script
 from quadjax.core.files import read_text, write_text
-from quadjax.core.markdown import table
 from quadjax.core.resources import CONFIGS
 
 FILE = CONFIGS / "plant" / "cyberzoo.yaml"
@@ -27,8 +26,7 @@ SEED = 20_000  # of the flights
 
 def cyberzoo_population(e2e: options.PolicyFile, indi: options.PolicyFile, file: Path, /) -> None:
     """Write the drones of the plant."""
-    chains = posterior(file)
-    drawn = chains[:DRAWN]
+    drawn = posterior(file)[:DRAWN]
     fleet = Fleet({"E2E": e2e, "INDI": indi})
     numbers = fleet.fly(drones_of(drawn), DRAWN, FLIGHTS, SEED)
     logits = numbers[:, [NUMBERS.index(key) for key in FINISHED]]
@@ -42,15 +40,6 @@ def cyberzoo_population(e2e: options.PolicyFile, indi: options.PolicyFile, file:
     for key, values in drones_of(drawn[chosen]).population.items():
         text += f"  {key}: [{', '.join(f'{x:.4g}' for x in values)}]\n"
     write_text(FILE, text)
-    rows = [["number", "range", "median", "90%", "width in the range"]]
-    for i, (key, prior) in enumerate(PRIORS.items()):
-        quantiles = np.quantile(chains[:, i], (0.05, 0.5, 0.95))
-        low, middle, high = (f"{prior.value(share):.3g}" for share in quantiles)
-        width = f"{(quantiles[2] - quantiles[0]) / 0.9:.0%}"
-        rows.append(
-            [f"`{key}`", f"{prior.low:g} to {prior.high:g}", middle, f"{low} to {high}", width]
-        )
-    print(table(rows))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Train a policy to catch a thrown drone and hover, and throw the drone 10,000 times.
+"""Policies that catch a thrown drone and hover, thrown 10,000 times: the row of ``hover.json``.
 
 The task by which RLtools and crazyflow report how fast they train: the part ``+hover``. A throw has
 any attitude, up to 1 m, 2 m/s and 3 rad/s in each axis. It is caught if the drone is within 0.3 m
@@ -13,11 +13,12 @@ from typing import Annotated
 import numpy as np
 
 import quadjax
+from benchmarks import rows
 from quadjax.cli import script
 from quadjax.cli.options import Folder, Seeds, whole
 from quadjax.core.sections import MAX_RUNS
 
-CONFIG = "e2e +hover"
+CONFIG = ["e2e", "+hover"]
 SECONDS, NEAR, SLOW = 4.0, 0.3, 0.5  # s, m, m/s
 
 
@@ -39,14 +40,27 @@ def hover(
     throws: Annotated[int, whole(1, MAX_RUNS)] = 10_000,
     output: Folder = Path("runs/hover"),
 ) -> None:
-    """Train with each seed, and print training time and the share of throws caught."""
-    configs = [quadjax.load(CONFIG, [f"seed={seed}", *overrides]) for seed in seeds]
+    """Train with each seed, print training time and the share of throws caught, and write the row.
+
+    A setting of ``overrides`` is part of the row's name.
+    """
+    first, *words = [*CONFIG, *overrides]
+    configs, shares, steps = [quadjax.load(first, [*words, f"seed={x}"]) for x in seeds], [], 0
     for seed, config in zip(seeds, configs, strict=True):
         run = quadjax.train(config, output / str(seed), overwrite=True, progress=False)
-        row = {key: values[-1] for key, values in run.metrics.items()}
-        training = row["steps"] / row["steps_per_second"]
-        share = 100.0 * caught(run.policy, config, throws).mean()
-        print(f"seed {seed}: {row['steps']:,.0f} steps in {training:.1f} s, {share:.2f}% caught")
+        last = {key: values[-1] for key, values in run.metrics.items()}
+        training, steps = last["steps"] / last["steps_per_second"], int(last["steps"])
+        shares.append(round(100.0 * float(caught(run.policy, config, throws).mean()), 2))
+        print(f"seed {seed}: {steps:,} steps in {training:.1f} s, {shares[-1]:.2f}% caught")
+    row = {
+        "name": " ".join([first, *words]),
+        "command": f"python -m benchmarks.hover --seeds {' '.join(map(str, seeds))}",
+        "config": [first, *words],
+        "seeds": list(seeds),
+        "steps": steps,
+        "caught, %": shares,
+    }
+    rows.write("hover", [row])
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
 """Time constants of the inner loop: step responses on the plant, fitted by first-order lags.
 
-From hover, without effects and delays: ``python -m benchmarks.identify``. Result:
-docs/design/plant.md.
+From hover, without effects and delays, with the gains of ``exact`` (the defaults) and ``standin``:
+``python -m benchmarks.identify`` prints them and writes the rows of ``identify.json``.
 """
 
 import functools
+import statistics
 from typing import NamedTuple
 
 import jax
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from benchmarks import rows
 from quadjax.cli import script
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import gusts, indi, plant
@@ -95,12 +97,23 @@ def _fly(count, params, loop, commands) -> jax.Array:
 
 
 def identify() -> None:
-    """Print a line for each step."""
+    """Print a line for each step, and write a row for each plant."""
     print("axis, from, to, time constant, error of the fit, motors at a limit; * not 25 to 35 ms")
-    for step in responses(without_effects(load_plant_config("standin"))):
-        mark = "" if EXPECTED[0] <= step.tau <= EXPECTED[1] else " *"
-        fit = f"{1e3 * step.tau:5.1f} ms {step.error:6.1%} {1e3 * SECONDS * step.saturated:4.0f} ms"
-        print(f"{step.axis} {step.start:6.2f} {step.target:6.2f} {fit}{mark}")
+    for plant_name in ("exact", "standin"):
+        command = "python -m benchmarks.identify"
+        row = {"name": plant_name, "command": command, "plant": [plant_name], "seeds": [0]}
+        taus: dict[str, list[float]] = {axis: [] for axis in STEPS}
+        for step in responses(without_effects(load_plant_config(plant_name))):
+            mark = "" if EXPECTED[0] <= step.tau <= EXPECTED[1] else " *"
+            limited = f"{1e3 * SECONDS * step.saturated:4.0f} ms"
+            fit = f"{1e3 * step.tau:5.1f} ms {step.error:6.1%} {limited}{mark}"
+            print(f"{step.axis} {step.start:6.2f} {step.target:6.2f} {fit}")
+            taus[step.axis].append(1e3 * step.tau)
+        texts = {
+            axis: f"{statistics.median(found):.1f} ({min(found):.1f}-{max(found):.1f})"
+            for axis, found in taus.items()
+        }
+        rows.write("identify", [row | texts])
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ def measured(rows: Iterable[Tree]) -> str:
 def render(data: Data, page: str) -> str:
     """A page with the tables of the data."""
     of_page = {match[2]: TABLES.get(match[2]) for match in BLOCK.finditer(page)}
-    rows = [row for made in of_page.values() if made for row in data[made.file]]
+    rows = [row for made in of_page.values() if made and made.file for row in data[made.file]]
 
     def block(match: re.Match[str]) -> str:
         made = of_page[match[2]]

@@ -1,9 +1,9 @@
-"""Size of residual models and of plants on the states of one flight.
+"""Size of residual models and of plants on the states of one flight: rows of ``size.json``.
 
-``python -m benchmarks.residual_size [FILE.npz ...] [--plant NAME ...]`` prints what each residual,
-and the median of 40 drones of each plant, adds to the nominal model along one flight of six laps
-from hover (``e2e.npz``, mean action; another with ``--policy FILE --race CONFIG``): the
-force along body z per mass in m/s^2 (down is positive) and the moments in N m.
+``python -m benchmarks.residual_size [FILE.npz ...] [--plant NAME ...]`` measures what each
+residual, and the median of 40 drones of each plant, adds to the nominal model along one flight of
+six laps from hover (``e2e.npz``, mean action): the force along body z per mass in m/s^2 (down is
+positive) and the moments in mN m.
 """
 
 from collections.abc import Sequence
@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import quadjax
+from benchmarks import rows
+from benchmarks.settings import Tree
 from quadjax.cli import options, script
 from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.resources import PRETRAINED
@@ -25,10 +27,14 @@ from quadjax.vehicle.motor import nominal_force, nominal_moment
 from quadjax.vehicle.residual import read_residual, residual_force_moment
 from quadjax.vehicle.rigid_body import RigidBodyState
 
+RACE, POLICY = "e2e", "e2e.npz"  # of the flight
+DRONES = 40  # of a plant
 
-def states_of(policy: Path, race: str) -> list[np.ndarray]:
+
+def states_of() -> list[np.ndarray]:
     """Propeller speeds, rpm, velocity, m/s, body, and rates, rad/s, of each sample (n, .)."""
-    flight = quadjax.evaluate(policy, race, runs=1, laps=6, deterministic=True).flights[0]
+    policy, once = PRETRAINED / POLICY, {"runs": 1, "laps": 6, "deterministic": True}
+    flight = quadjax.evaluate(policy, RACE, **once).flights[0]
 
     def turned(velocity: jax.Array, euler: jax.Array) -> jax.Array:
         return world_to_body(attitude(Vec3.of(euler)), Vec3.of(velocity)).array()
@@ -61,7 +67,7 @@ def of_plant(config: PlantConfig, states: Sequence[np.ndarray]) -> tuple[np.ndar
     def at(rpm: jax.Array, velocity: jax.Array, rates: jax.Array) -> tuple[jax.Array, jax.Array]:
         speeds, v, w = Rotors.of(rpm), Vec3.of(velocity), Vec3.of(rates)
         body = RigidBodyState(aloft, v, none, w, speeds, none, none)
-        force, moment = forces(plant, Physics(body, still, none, none, jnp.ones(())), still, v)
+        force, moment = forces(plant, Physics(body, still, jnp.ones(())), still, v)
         model = nominal_force(nominal, speeds, v)
         return force.z - model.z, (moment - nominal_moment(nominal, speeds, still, v, w)).array()
 
@@ -75,32 +81,38 @@ def sizes(force: np.ndarray, moment: np.ndarray) -> list[float]:
     return [force.mean(), *rms, force.std(), *moment.std(axis=0)]
 
 
-def row(name: str, values: Sequence[float]) -> str:
-    """A line of the table."""
-    force = " / ".join(f"{x:.2f}" for x in values[:3])
-    rms, deviation = (", ".join(f"{x:.4f}" for x in part) for part in (values[3:6], values[7:]))
-    return f"| {name} | {force} | {rms} | {values[6]:.2f} | {deviation} |"
+def row(name: str, command: str, values: Sequence[float], **plant: Sequence[str]) -> Tree:
+    """The row of a residual or a plant."""
+    rms, deviation = (
+        ", ".join(f"{1e3 * x:.1f}" for x in part) for part in (values[3:6], values[7:])
+    )
+    return {
+        "name": name,
+        "command": f"python -m benchmarks.residual_size {command}",
+        "race": [RACE],
+        "policy": POLICY,
+        **plant,
+        "seeds": [0],
+        "force": " / ".join(f"{x:.2f}" for x in values[:3]),
+        "force deviation": f"{values[6]:.2f}",
+        "moments": rms,
+        "moment deviations": deviation,
+    }
 
 
 def residual_size(
-    *files: str,
-    plant: Annotated[tuple[options.PlantConfig, ...], options.LIST] = (),
-    policy: options.PolicyFile = PRETRAINED / "e2e.npz",
-    race: str = "e2e",
+    *files: str, plant: Annotated[tuple[options.PlantConfig, ...], options.LIST] = ()
 ) -> None:
-    """Print the table of residual files and plants."""
+    """Write the rows of residual files and plants."""
+    states, made = states_of(), []
     for file in files:
-        read_residual(file)
-    configs, states = [load_plant_config(name) for name in plant], states_of(policy, race)
-    deviations = "Fz deviation | Mx, My, Mz deviation"
-    print(f"| residual | Fz mean / rms / largest, m/s^2 | Mx, My, Mz rms, N m | {deviations} |")
-    print("|---|---|---|---|---|")
-    for file in files:
-        print(row(Path(file).stem, sizes(*of_residual(file, states))))
-    for name, config in zip(plant, configs, strict=True):
-        drones = [sizes(*of_plant(config.member(number), states)) for number in range(40)]
-        for label, quantile in (("10%", 0.1), ("median", 0.5), ("90%", 0.9)):
-            print(row(f"{name}, {label}", np.quantile(drones, quantile, axis=0)))
+        made.append(row(Path(file).stem, file, sizes(*of_residual(file, states))))
+    for name in plant:
+        config = load_plant_config(name)
+        drones = [sizes(*of_plant(config.member(number), states)) for number in range(DRONES)]
+        middle = np.quantile(drones, 0.5, axis=0)
+        made.append(row(name, f"--plant {name}", middle, plant=[name]))
+    rows.write("size", made)
 
 
 if __name__ == "__main__":

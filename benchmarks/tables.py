@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from benchmarks.comparison_tables import contenders, effects, lead_rows, steps
+from benchmarks.data_tables import AGAIN, DRONES, INDI, ablations, best_laps
 from benchmarks.plant_tables import CHARGES, charged, looped, unchanged
 from benchmarks.settings import Tree
 from benchmarks.steps import PARTS, STEPS
@@ -16,7 +17,10 @@ Data = dict[str, list[Tree]]  # the rows of each file
 
 
 class Table(NamedTuple):
-    """The file of a table's rows, its columns, and a choice of rows; all of the file without it."""
+    """The file of a table's rows, its columns, and a choice of rows; all of the file without it.
+
+    A table of another data file has no file of rows.
+    """
 
     file: str
     columns: str  # of COLUMNS, or keys of the row; each may have another title: TITLE=COLUMN
@@ -78,6 +82,10 @@ BODY += "|random starts, with a body=random starts, body"
 SCORED = "drones and seeds|score, s|of each seed, s|time, s|finished"
 OF_PARTS = "E2E=contender|drones and seeds|score, s|of each seed, s|finished|simulated, s"
 OF_STEPS = "step=contender|score, s|of each seed, s|time, s|finished"
+SIZES = "model=name|Fz mean / rms / largest, m/s^2=force|Mx, My, Mz rms, mN m=moments"
+SIZES += "|Fz deviation=force deviation|deviations, mN m=moment deviations"
+LOOP = "gains of=name|roll rate, ms=p|pitch rate, ms=q|yaw rate, ms=r|thrust, ms=T"
+OF_EFFECTS = "|".join(f"{x}log-likelihood|{x}E2E|{x}INDI" for x in ("", AGAIN))
 LEADS = "score, s|first lap, s|each later lap, s"
 MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"
 TABLES = {
@@ -97,6 +105,13 @@ TABLES = {
     "interventions": Table("interventions", OF_STEPS, lambda data: steps(data, STEPS)),
     "without": Table("interventions", OF_PARTS, lambda data: steps(data, PARTS)),
     "instructions": Table("instructions", "policy=file|build|" + "|".join(COUNTS)),
+    "size": Table("size", SIZES),
+    "identify": Table("identify", LOOP),
+    "hover": Table("hover", "name|10^6 steps|caught, %"),
+    "laps": Table("", "|".join(["track", *DRONES.values(), INDI]), best_laps),
+    "cyberzoo": Table("cyberzoo", "flights=policy|lap 1|laps 2 to 6|six laps|finished=completed"),
+    "posterior": Table("posterior", "number=name|range|median|90%"),
+    "ablations": Table("", f"without|{OF_EFFECTS}", ablations),
     "effects": Table("interventions", "from|to|trainings|saved, s", effects),
 }
 
