@@ -1,15 +1,15 @@
-"""Rows of tables of other data files: best known laps, and ``cyberzoo`` without an effect."""
+"""Rows of tables of several files: laps, best known laps, and ``cyberzoo`` without an effect."""
 
 import re
+import statistics
 from pathlib import Path
 
 from benchmarks.settings import Tree
-from benchmarks.tracks import read_best
+from benchmarks.tracks import DRONES, read_best
 from quadjax.core.files import read_json
 
-DRONES = {"bebop1": "Bebop 1", "5inch": "5-inch", "3inch": "3-inch", "a2rl": "A2RL"}
-INDI = "Bebop 1, INDI"
 EFFECTS = Path(__file__).parent / "cyberzoo_effects.json"
+INDI = "Bebop 1, INDI"
 ONE = re.compile(r"(\w+) (\S+) s, lap 1 \S+, (\d+%)")  # policy of the text of an effect
 AGAIN = "again, "  # with all other numbers drawn anew
 
@@ -23,6 +23,34 @@ def best_laps(_: object) -> list[Tree]:
                 row = made.setdefault(track, dict.fromkeys([*DRONES.values(), INDI], "-"))
                 row |= {"track": f"`{track}`", titles[vehicle]: f"{lap.seconds:g}"}
     return list(made.values())
+
+
+def gap(row: Tree) -> list[float]:
+    """How much longer the laps of a row are than the best known one, %."""
+    preset, *words = row["config"]
+    track, vehicle = (word.partition("=")[2] for word in words)
+    best = read_best("best_known_indi" if preset == "indi_race" else "best_known")
+    return [100.0 * (lap / best[track, vehicle].seconds - 1.0) for lap in row["lap, s"]]
+
+
+def laps_of_policies(data: dict[str, list[Tree]]) -> list[Tree]:
+    """A line for each track: lap, gap and crashed flights of E2E, medians of the seeds."""
+    made: dict[str, Tree] = {}
+    for row in data["tracks"]:
+        preset, vehicle, track = row["name"].split()
+        if preset == "e2e_race":
+            line = made.setdefault(track, dict.fromkeys(DRONES.values(), "-"))
+            numbers = (row["lap, s"], gap(row), row["crashed, %"])
+            lap, longer, crashed = (statistics.median(x) for x in numbers)
+            line["track"] = f"`{track}`"
+            line[DRONES[vehicle]] = f"{lap:.3f}, {longer:.1f}, {crashed:.1f}"
+    return list(made.values())
+
+
+def of_seeds_or_indi(data: dict[str, list[Tree]]) -> list[Tree]:
+    """The rows of several seeds and those of INDI, with their gaps."""
+    rows = [row | {"gap, %": gap(row)} for row in data["tracks"]]
+    return [row for row in rows if len(row["seeds"]) > 1 or row["name"].startswith("indi")]
 
 
 def ablations(_: object) -> list[Tree]:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import quadjax
 from benchmarks import rows
-from benchmarks.settings import Tree, differences, plain, settings
+from benchmarks.settings import Tree, check_run
 from benchmarks.tables import CONDITIONS
-from quadjax.core.errors import InputError, short
+from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.training.result import Run
 
@@ -25,7 +25,7 @@ def flown(row: Tree, policies: Sequence[str]) -> Tree:
     runs = [quadjax.Run.load(path) for path in paths if Path(path).is_dir()]
     loaded = [run.policy for run in runs] or [quadjax.Policy.load(path) for path in paths]
     for run in runs:
-        _check(run, row)
+        check_run(run, row)
     first, *words = row.get("race") or row["config"]
     race, options = quadjax.load(first, words), row.get("options", {})
     flights = [quadjax.evaluate(p, race, conditions="protocols", **options) for p in loaded]
@@ -44,12 +44,6 @@ def flown(row: Tree, policies: Sequence[str]) -> Tree:
         "machine": rows.device(),
         **(_trainings(runs) if runs else {}),
     }
-
-
-def _check(run: Run, row: Tree) -> None:
-    """Compare the config of a run with that of the row."""
-    for key, (own, now) in differences(plain(run.config), settings(row)["config"]).items():
-        raise InputError(f"{run.folder}: {key} is {short(own)}, in {row['name']} {short(now)}")
 
 
 def _trainings(runs: Sequence[Run]) -> Tree:

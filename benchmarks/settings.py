@@ -10,11 +10,12 @@ from typing import Any
 import pydantic
 
 import quadjax
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, short
 from quadjax.core.provenance import hash_file
 from quadjax.core.resources import PRETRAINED
 from quadjax.plant.config import load_plant_config
 from quadjax.plant.plant import nominal_vehicle
+from quadjax.training.result import Run
 
 Tree = dict[str, Any]
 SETTINGS = ("config", "race", "plant", "policy")  # keys of a row
@@ -34,6 +35,16 @@ def settings(row: Tree) -> dict[str, Tree]:
     """The present numbers of each setting of a row."""
     words = {key: row[key] for key in SETTINGS if key in row}
     return {key: _resolve(key, *([x] if isinstance(x, str) else x)) for key, x in words.items()}
+
+
+def check_run(run: Run, row: Tree) -> None:
+    """Compare the config of a run with that of the row.
+
+    Raises:
+        InputError: another number.
+    """
+    for key, (own, now) in differences(plain(run.config), settings(row)["config"]).items():
+        raise InputError(f"{run.folder}: {key} is {short(own)}, in {row['name']} {short(now)}")
 
 
 @functools.cache

@@ -5,10 +5,18 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from benchmarks.comparison_tables import contenders, effects, lead_rows, steps
-from benchmarks.data_tables import AGAIN, DRONES, INDI, ablations, best_laps
+from benchmarks.data_tables import (
+    AGAIN,
+    INDI,
+    ablations,
+    best_laps,
+    laps_of_policies,
+    of_seeds_or_indi,
+)
 from benchmarks.plant_tables import CHARGES, charged, looped, unchanged
 from benchmarks.settings import Tree
 from benchmarks.steps import PARTS, STEPS
+from benchmarks.tracks import DRONES
 
 CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
 BODIES, COUNTS = ("body", "hall"), ("inference", "step", "stack", "start", "flash")
@@ -86,6 +94,7 @@ SIZES = "model=name|Fz mean / rms / largest, m/s^2=force|Mx, My, Mz rms, mN m=mo
 SIZES += "|Fz deviation=force deviation|deviations, mN m=moment deviations"
 LOOP = "gains of=name|roll rate, ms=p|pitch rate, ms=q|yaw rate, ms=r|thrust, ms=T"
 OF_EFFECTS = "|".join(f"{x}log-likelihood|{x}E2E|{x}INDI" for x in ("", AGAIN))
+OF_DRONES = "|".join(["track", *DRONES.values()])
 LEADS = "score, s|first lap, s|each later lap, s"
 MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"
 TABLES = {
@@ -108,7 +117,10 @@ TABLES = {
     "size": Table("size", SIZES),
     "identify": Table("identify", LOOP),
     "hover": Table("hover", "name|10^6 steps|caught, %"),
-    "laps": Table("", "|".join(["track", *DRONES.values(), INDI]), best_laps),
+    "laps": Table("", f"{OF_DRONES}|{INDI}", best_laps),
+    "tracks": Table("tracks", OF_DRONES, laps_of_policies),
+    "racing": Table("tracks", "name|lap, s|gap, %|crashed, %", of_seeds_or_indi),
+    "robust": Table("robust", "trained for|±0%|±10%|±20%|±30%"),
     "cyberzoo": Table("cyberzoo", "flights=policy|lap 1|laps 2 to 6|six laps|finished=completed"),
     "posterior": Table("posterior", "number=name|range|median|90%"),
     "ablations": Table("", f"without|{OF_EFFECTS}", ablations),

@@ -2,7 +2,8 @@
 
 ``python -m benchmarks.tracks RUN ...`` flies the policies of runs with the mean action. It prints a
 line for each track and drone, and one for all tracks of a drone: the median and the range of laps 2
-to 6 from hover, and the crashes of 1,000 flights of 12 s from 1 m before a gate.
+to 6 from hover, and the crashes of 1,000 flights of 12 s from 1 m before a gate. With ``--preset``
+it writes them as rows.
 """
 
 import functools
@@ -16,12 +17,15 @@ from cyclopts import Parameter
 from pydantic import Field as Bounded
 
 import quadjax
+from benchmarks import rows as results
+from benchmarks.settings import Tree, check_run
 from quadjax.cli import script
 from quadjax.core.errors import InputError
 from quadjax.core.markdown import table
 from quadjax.core.sections import Field, Section, load_section
 
 RUNS = 1000
+DRONES = {"bebop1": "Bebop 1", "5inch": "5-inch", "3inch": "3-inch", "a2rl": "A2RL"}
 TITLES = ("model", "track", "drone", "runs", "lap, s", "gap, %", "crashed, %")
 
 
@@ -74,20 +78,57 @@ def cell(values: np.ndarray, digits: int) -> str:
     return text if known.size == len(values) else f"{text}, {known.size} of {len(values)}"
 
 
+def row_of(preset: str, runs: list[quadjax.Run], numbers: list[tuple[float, float]]) -> Tree:
+    """The row of trainings of a preset on one track and drone.
+
+    Raises:
+        InputError: another drone than those of the table, or runs with other settings.
+    """
+    config, files = runs[0].config, {drone_of(file)[1]: file for file in DRONES}
+    vehicle, track = config.vehicle.name, config.track.name
+    if vehicle not in files:
+        raise InputError(f"{runs[0].folder}: drone {vehicle}, allowed: {', '.join(files)}")
+    words = [f"track={track}", f"vehicle={files[vehicle]}"]
+    row = {
+        "name": f"{preset} {files[vehicle]} {track}",
+        "command": f"quadjax train {preset} {' '.join(words)}, then python -m benchmarks.tracks",
+        "config": [preset, *words],
+        "seeds": [run.config.seed for run in runs],
+        "lap, s": [round(lap, 3) for lap, _ in numbers],
+        "crashed, %": [round(100.0 * crashed, 1) for _, crashed in numbers],
+    }
+    for run in runs:
+        check_run(run, row)
+    return row
+
+
 def tracks(
-    runs: Annotated[tuple[Path, ...], Parameter(name="RUN", help="Folders of runs of one preset.")],
+    folders: Annotated[
+        tuple[Path, ...], Parameter(name="RUN", help="Folders of runs of one preset.")
+    ],
     /,
     *,
     best: str = "best_known",
+    preset: str | None = None,
 ) -> None:
-    """Fly the policies of runs; ``best`` is a file of best known laps, or its name."""
+    """Fly the policies of runs.
+
+    Args:
+        folders: of the runs.
+        best: a file of best known laps, or its name.
+        preset: of the trainings, whose rows are written.
+    """
     known = {(*drone_of(x.vehicle), x.track): x.seconds for x in read_best(best).values()}
     found: dict[tuple[str, str, str], list[tuple[float, float]]] = {}
-    for folder in dict.fromkeys(runs):
+    flown: dict[tuple[str, str, str], list[quadjax.Run]] = {}
+    for folder in dict.fromkeys(folders):
         run = quadjax.Run.load(folder)
-        vehicle, track = run.config.vehicle, run.config.track.name
-        found.setdefault((vehicle.model, vehicle.name, track), []).append(measure(run))
+        key = (run.config.vehicle.model, run.config.vehicle.name, run.config.track.name)
+        found.setdefault(key, []).append(measure(run))
+        flown.setdefault(key, []).append(run)
         print(folder, file=sys.stderr, flush=True)
+    if preset:
+        results.write("tracks", [row_of(preset, flown[key], found[key]) for key in found])
     rows, of_drone = [TITLES], dict[tuple[str, str], list[np.ndarray]]()
     for (model, drone, track), numbers in found.items():
         laps, crashed = np.transpose(numbers)
