@@ -21,7 +21,7 @@ COMMAND = "python -m benchmarks.cyberzoo_figure benchmarks/cyberzoo.npz docs/ima
 
 
 def row(key: str, shares: np.ndarray) -> Tree:
-    """Range, median and 90% of a number, of its shares (chains,) of the prior."""
+    """Range of a number, median and 90% of its posterior ``shares`` (chains,) of the prior."""
     prior = PRIORS[key]
     values = [prior.low, prior.high, *prior.value(np.quantile(shares, (0.05, 0.5, 0.95)))]
     lowest, highest, low, middle, high = (f"{float(f'{x:.3g}'):g}" for x in values)

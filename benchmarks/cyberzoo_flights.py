@@ -18,7 +18,7 @@ PLANT, DRONES, FLIGHTS, LAPS, SEED = "cyberzoo", 20, 10, 6, 30_000
 
 
 def row(name: str, laps: np.ndarray, **origin: object) -> Tree:
-    """Mean laps and total of the flights (flights, laps) that finish, s."""
+    """Mean laps and total, s, of those of the flights (flights, laps) that finish."""
     done = laps[np.isfinite(laps).all(axis=1)]
     first, *later = (f"{x:.2f}" for x in done.mean(axis=0))
     total = {"lap 1": first, "laps 2 to 6": ", ".join(later)}

@@ -1,4 +1,4 @@
-"""Rows of tables of several files: laps, best known laps, and ``cyberzoo`` without an effect."""
+"""Lines of tables of several rows or other data: laps, best known laps, effects of ``cyberzoo``."""
 
 import re
 import statistics
@@ -10,12 +10,12 @@ from quadjax.core.files import read_json
 
 EFFECTS = Path(__file__).parent / "cyberzoo_effects.json"
 INDI = "Bebop 1, INDI"
-ONE = re.compile(r"(\w+) (\S+) s, lap 1 \S+, (\d+%)")  # policy of the text of an effect
+ONE = re.compile(r"(\w+) (\S+) s, lap 1 \S+, (\d+%)")  # one policy, in the text of an effect
 AGAIN = "again, "  # with all other numbers drawn anew
 
 
 def best_laps(_: object) -> list[Tree]:
-    """The best known laps of each track that is no random one, s."""
+    """The best known laps, s, of each track that is not random."""
     made: dict[str, Tree] = {}
     for file, titles in (("best_known", DRONES), ("best_known_indi", {"bebop1": INDI})):
         for (track, vehicle), lap in read_best(file).items():

@@ -1,4 +1,4 @@
-"""Policies that catch a thrown drone and hover, thrown 10,000 times: the row of ``hover.json``.
+"""Train policies to catch a thrown drone and hover, and throw it: the row of ``hover.json``.
 
 The task by which RLtools and crazyflow report how fast they train: the part ``+hover``. A throw has
 any attitude, up to 1 m, 2 m/s and 3 rad/s in each axis. It is caught if the drone is within 0.3 m
@@ -42,7 +42,7 @@ def hover(
 ) -> None:
     """Train with each seed, print training time and the share of throws caught, and write the row.
 
-    A setting of ``overrides`` is part of the row's name.
+    The settings of ``overrides`` are part of the row's name.
     """
     first, *words = [*CONFIG, *overrides]
     configs, shares, steps = [quadjax.load(first, [*words, f"seed={x}"]) for x in seeds], [], 0

@@ -41,7 +41,7 @@ def check_run(run: Run, row: Tree) -> None:
     """Compare the config of a run with that of the row.
 
     Raises:
-        InputError: another number.
+        InputError: a number differs.
     """
     for key, (own, now) in differences(plain(run.config), settings(row)["config"]).items():
         raise InputError(f"{run.folder}: {key} is {short(own)}, in {row['name']} {short(now)}")

@@ -27,7 +27,7 @@ Data = dict[str, list[Tree]]  # the rows of each file
 class Table(NamedTuple):
     """The file of a table's rows, its columns, and a choice of rows; all of the file without it.
 
-    A table of another data file has no file of rows.
+    ``file`` is empty for a table of other data.
     """
 
     file: str

@@ -82,7 +82,7 @@ def row_of(preset: str, runs: list[quadjax.Run], numbers: list[tuple[float, floa
     """The row of trainings of a preset on one track and drone.
 
     Raises:
-        InputError: another drone than those of the table, or runs with other settings.
+        InputError: a drone that the table does not have, or runs with other settings.
     """
     config, files = runs[0].config, {drone_of(file)[1]: file for file in DRONES}
     vehicle, track = config.vehicle.name, config.track.name
@@ -114,9 +114,9 @@ def tracks(
     """Fly the policies of runs.
 
     Args:
-        folders: of the runs.
+        folders: of runs of one preset.
         best: a file of best known laps, or its name.
-        preset: of the trainings, whose rows are written.
+        preset: that of the runs; with it their rows are written.
     """
     known = {(*drone_of(x.vehicle), x.track): x.seconds for x in read_best(best).values()}
     found: dict[tuple[str, str, str], list[tuple[float, float]]] = {}
