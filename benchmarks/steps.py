@@ -27,7 +27,7 @@ def _thrust(limit: int) -> tuple[str, ...]:
 YAW = ("indi_simple.yaw_rate=4",)  # of the inner loop
 ALLOCATIONS = {
     "no priorities": ("indi_simple.saturation=clip",),
-    "effectiveness of the model": (
+    "model effectiveness": (
         "indi_simple.effectiveness=null",
         "indi_simple.thrust_gain=null",
     ),
