@@ -1,25 +1,28 @@
-"""Betaflight in the loop: sticks, ports, arming, signs, and the response of its rates."""
+"""Betaflight in the loop: sticks, processes, arming, signs, and the response of its rates."""
 
 import contextlib
 import dataclasses
 import importlib.util
-import socket
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import psutil
 import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
+from quadjax.core.files import read_json
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.flights import load
 from quadjax.sil import betaflight, betaflight_firmware
 from quadjax.sil.betaflight import RESTING, Sticks, arm, check_turns, drone_of, exchange
-from quadjax.sil.betaflight_firmware import STEP, Firmware, check_ports, find_firmware, state_of
+from quadjax.sil.betaflight_firmware import STEP, Firmware, find_firmware, state_of
 from quadjax.vehicle import racing
 from quadjax.vehicle.protocol import RigidBodyState, VehicleParams
 from quadjax.vehicle.vehicle_file import read_vehicle
@@ -103,48 +106,97 @@ def test_rates_follow_the_sticks_and_motors_act_against_turns():
             others = np.abs(np.delete(rates, axis, 1)).max()
             print(
                 f"{name}: lag {1e3 * tau:.0f} ms, dead time {1e3 * dead:.0f} ms, rms error "
-                f"{error:.2f}, settled {settled:.2f}, other axes {others:.2f} rad/s; clock "
-                f"{firmware.clock():.2f}"
+                f"{error:.2f}, settled {settled:.2f}, other axes {others:.2f} rad/s"
             )
             assert 0.85 * RATE < settled < 1.15 * RATE
             assert tau + dead < 0.06 and error < 0.2 * RATE and others < 0.1 * RATE
-            firmware.exchanges.clear()
 
 
 @pytest.mark.slow
 @installed
-def test_the_process_ends_after_an_error_and_ports_are_free_again():
+def test_a_flight_repeats_bit_by_bit():
+    def flown():
+        with running() as (firmware, sticks):
+            return turned(firmware, sticks, 0, RATE, steps=50, rest=50)
+
+    np.testing.assert_array_equal(flown(), flown())
+
+
+@pytest.mark.slow
+@installed
+def test_the_firmware_starts_and_arms_ten_times_in_a_row():
+    for _ in range(10):
+        with running() as (firmware, _):
+            arm(firmware)
+
+
+@pytest.mark.slow
+@installed
+def test_the_firmware_dies_with_a_killed_python_and_listens_on_the_loopback_only():
+    code = (
+        "import sys, time\n"
+        "from quadjax.sil.betaflight_firmware import Firmware, find_firmware\n"
+        "with Firmware(find_firmware(), []) as firmware:\n"
+        "    print(firmware._process.pid, flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as python:
+        firmware = psutil.Process(int(python.stdout.readline()))
+        bound = {connection.laddr.ip for connection in firmware.net_connections()}
+        python.kill()
+    assert bound == {"127.0.0.1"}
+    firmware.wait(10)
+
+
+@pytest.mark.slow
+@installed
+def test_a_firmware_that_does_not_arm_says_why():
+    with (
+        running("set pwr_on_arm_grace = 30") as (firmware, _),
+        pytest.raises(InputError, match="does not arm: (?!.*CLI).*BOOTGRACE"),
+    ):
+        arm(firmware)
+
+
+@pytest.mark.slow
+@installed
+def test_the_process_ends_after_an_error_and_two_may_run():
     with pytest.raises(KeyboardInterrupt), running() as (firmware, _):
         process, folder = firmware._process, firmware._folder
         assert process.poll() is None
-        with pytest.raises(InputError, match="UDP port 9002 is in use"):
-            check_ports()
+        with running() as (other, _):  # has ports of its own
+            arm(other)
         raise KeyboardInterrupt
     assert process.poll() is not None and not Path(folder).exists()
-    check_ports()
     with pytest.raises(InputError, match="small_angel"), running("set small_angel = 180"):
         pass
-    check_ports()
 
 
 @pytest.mark.slow
 @installed
-def test_the_command_flies_a_rate_policy_and_says_how(tmp_path, capsys, monkeypatch):
+def test_the_command_flies_a_rate_policy_and_writes_logs_for_a_fit(tmp_path, capsys, monkeypatch):
     def short(*arguments):
         drone = drone_of(*arguments)
-        return dataclasses.replace(drone, limit=600)
+        return dataclasses.replace(drone, limit=2500)
 
     monkeypatch.setattr(betaflight, "drone_of", short)
     race = tmp_path / "race.yaml"
     race.write_text(RACE)
     words = ("sil", "indi", "--race", race, "--autopilot", "betaflight", "--output", tmp_path)
-    assert run(*words) == 0
+    assert run(*words, "--set", "p_roll=46", "--set", "d_roll=41") == 0
     printed = capsys.readouterr().out
-    assert "Betaflight, exported C" in printed and "1000 Hz, 600 steps" in printed
+    assert "Betaflight, exported C" in printed and "1000 Hz, 2,500 steps" in printed
     (flight,) = load(tmp_path / "sil" / "states.npz")
-    assert len(flight.time) == 600 and flight["command"].min() >= 0.0
-    assert 0.5 < np.ptp(flight["position"], axis=0).max() < 10.0
-    check_ports()
+    assert len(flight.time) == 2500 and flight["command"].min() >= 0.0
+    assert 0.5 < np.ptp(flight["position"], axis=0).max() < 30.0
+    record = read_json(tmp_path / "sil" / "sil.json")
+    assert record["settings"] == ["p_roll=46", "d_roll=41"]
+    files = f"logs.files={tmp_path}/sil/log_*.csv"
+    words = ("logs.min_seconds=1", "figures=false", "--output", tmp_path, "--name", "fit")
+    assert run("fit", "betaflight", files, *words) == 0
+    known, fitted = read_vehicle("5inch"), read_vehicle(tmp_path / "fit" / "vehicle.yaml")
+    assert fitted.models["racing"]["k_w"] == pytest.approx(known.models["racing"]["k_w"], rel=1e-3)
+    assert 0.01 < fitted.models["rate"]["tau_rate"] < 0.04
 
 
 def test_a_policy_of_motors_is_refused(tmp_path):
@@ -190,22 +242,6 @@ def test_a_state_is_in_the_frames_of_the_packet():
     np.testing.assert_allclose(state[:6], [1, 2, 3, -4, 5, 6])
     np.testing.assert_allclose(state[6:10], [0.1, 0.2, -0.3, -0.4])
     assert len(state) == 17
-
-
-@pytest.mark.parametrize(
-    ("port", "kind", "name"),
-    [(9001, "DGRAM", "UDP"), (9004, "DGRAM", "UDP"), (5761, "STREAM", "TCP")],
-)
-def test_a_port_in_use_is_named(port, kind, name):
-    with socket.socket(socket.AF_INET, getattr(socket, f"SOCK_{kind}")) as other:
-        try:
-            other.bind(("127.0.0.1", port))
-        except OSError:
-            pytest.skip("the port is in use")
-        if kind == "STREAM":
-            other.listen()
-        with pytest.raises(InputError, match=f"{name} port {port} is in use"):
-            check_ports()
 
 
 def test_without_the_firmware_one_line_names_the_extra(monkeypatch, tmp_path, capsys):
