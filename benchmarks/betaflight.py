@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import quadjax
 from benchmarks import betaflight_response, rows
 from benchmarks.betaflight_contenders import CONTENDERS, DRONES, config
 from benchmarks.flown import LAPS, trained
@@ -22,6 +23,7 @@ from quadjax.cli import script
 from quadjax.cli.options import LIST, Folder, Seeds
 from quadjax.fitting.config import load_fit_config
 from quadjax.fitting.fit import fit
+from quadjax.race.laps import Laps
 from quadjax.sil.run import Setting, fly_all
 
 FILE = "betaflight"
@@ -59,10 +61,10 @@ def betaflight(
             "seeds": [seed],
             "drone": drone,
             "contender": contender,
-            "flown": {"own model": flown(folder, drone, None)},
+            "flown": {"own model": in_own_model(folder)},
         }
         for gains in ("default", "tuned") if contender != "E2E" else ():
-            row["flown"][gains] = flown(folder, drone, settings_of(drone, gains))
+            row["flown"][gains] = through_betaflight(folder, drone, settings_of(drone, gains))
         rows.write(FILE, [row])
         print(name, {key: flight["laps"] for key, flight in row["flown"].items()}, flush=True)
 
@@ -73,28 +75,34 @@ def settings_of(drone: str, gains: str) -> Sequence[str]:
     return next(row["settings"] for row in response if row["name"] == f"{drone}, {gains}")
 
 
-def flown(folder: Path, drone: str, settings: Sequence[str] | None) -> dict[str, Any]:
-    """One flight of a policy, through Betaflight with settings or, without, in its own model."""
-    gains = None if settings is None else tuple(settings)
-    result = fly_all(
-        Setting(folder / "policy.npz", None, LAPS, betaflight=gains), threading.Event()
-    )
-    made: dict[str, Any] = {
-        "laps": [
-            round(x, 3) if math.isfinite(x) else None for x in map(float, result.laps.lap_times[0])
-        ],
-        "end": result.laps.crashes[0],
-    }
-    if gains is None:
-        return made
-    motors = result.races[0].flight["command"]
-    made["saturated"] = round(float(((motors <= 0.0) | (motors >= 1.0)).any(axis=1).mean()), 3)
+def in_own_model(folder: Path) -> dict[str, Any]:
+    """One flight of a policy's mean action in the simulator of its training."""
+    policy = quadjax.load_policy(folder / "policy.npz")
+    return numbers(quadjax.evaluate(policy, runs=1, laps=LAPS, deterministic=True).rows[0].laps)
+
+
+def through_betaflight(folder: Path, drone: str, settings: Sequence[str]) -> dict[str, Any]:
+    """One flight through Betaflight with settings; if it finishes, also the lags of a fit to it."""
+    setting = Setting(folder / "policy.npz", None, LAPS, betaflight=tuple(settings))
+    flown = fly_all(setting, threading.Event())
+    motors = flown.races[0].flight["command"]
+    at_limit = ((motors <= 0.0) | (motors >= 1.0)).any(axis=1).mean()
+    made = numbers(flown.laps) | {"saturated": round(float(at_limit), 3)}
     if not made["end"]:
-        result.write(folder)
+        flown.write(folder)
         words = [f"logs.files={folder / 'log_0.csv'}", f"vehicle={drone}_betaflight.yaml"]
         rate = fit(load_fit_config("betaflight", words)).vehicle.models["rate"]
         made |= {key: round(rate[key], 4) for key in ("tau_rate", "tau_thrust")}
     return made
+
+
+def numbers(laps: Laps) -> dict[str, Any]:
+    """The laps of one flight, s, null where they are not flown, and how it ended early."""
+    times = [float(time) for time in laps.lap_times[0]]
+    return {
+        "laps": [round(time, 3) if math.isfinite(time) else None for time in times],
+        "end": laps.crashes[0],
+    }
 
 
 if __name__ == "__main__":
