@@ -53,7 +53,7 @@ def betaflight(
         words = f"--drones {drone} --contenders {shlex.quote(contender)} --seeds {seed}"
         preset, *overrides = config(contender, drone)
         folder = output / name.replace(", ", "_").replace("seed ", "").replace(" ", "_").lower()
-        trained(preset, overrides, seed, folder)
+        policy = trained(preset, overrides, seed, folder)
         row = {
             "name": name,
             "command": f"python -m benchmarks.betaflight {words}",
@@ -61,7 +61,7 @@ def betaflight(
             "seeds": [seed],
             "drone": drone,
             "contender": contender,
-            "flown": {"own model": in_own_model(folder)},
+            "flown": {"own model": in_own_model(policy)},
         }
         for gains in ("default", "tuned") if contender != "E2E" else ():
             row["flown"][gains] = through_betaflight(folder, drone, settings_of(drone, gains))
@@ -75,9 +75,8 @@ def settings_of(drone: str, gains: str) -> Sequence[str]:
     return next(row["settings"] for row in response if row["name"] == f"{drone}, {gains}")
 
 
-def in_own_model(folder: Path) -> dict[str, Any]:
+def in_own_model(policy: quadjax.Policy) -> dict[str, Any]:
     """One flight of a policy's mean action in the simulator of its training."""
-    policy = quadjax.load_policy(folder / "policy.npz")
     return numbers(quadjax.evaluate(policy, runs=1, laps=LAPS, deterministic=True).rows[0].laps)
 
 
