@@ -31,11 +31,13 @@ def of(flown: list[Tree]) -> Tree:
         "each later lap, s": [sum(flight["laps"][1:]) / len(flight["laps"][1:]) for flight in done],
         "finished": f"{len(done)}/{len(flown)}",
         "saturated, %": saturated,
-        **{
-            f"{key}, ms": [1e3 * f[key] for f in done if key in f]
-            for key in ("tau_rate", "tau_thrust")
-        },
+        "tau_rate, ms": [1e3 * flight["tau_rate"] for flight in done if "tau_rate" in flight],
     }
+
+
+def fitted(lines: list[Tree]) -> list[Tree]:
+    """Those of flights through Betaflight."""
+    return [line for line in lines if line["saturated, %"]]
 
 
 def responses(data: dict[str, list[Tree]]) -> list[Tree]:

@@ -4,7 +4,7 @@ import statistics
 from collections.abc import Callable
 from typing import NamedTuple
 
-from benchmarks.betaflight_tables import flights, responses
+from benchmarks.betaflight_tables import fitted, flights, responses
 from benchmarks.comparison_tables import contenders, effects, lead_rows, steps
 from benchmarks.plant_tables import CHARGES, charged, looped, unchanged
 from benchmarks.settings import Tree
@@ -79,9 +79,8 @@ BODY += "|random starts, with a body=random starts, body"
 SCORED = "drones and seeds|score, s|of each seed, s|time, s|finished"
 OF_PARTS = "E2E=contender|drones and seeds|score, s|of each seed, s|finished|simulated, s"
 OF_STEPS = "step=contender|score, s|of each seed, s|time, s|finished"
-OF_BETAFLIGHT = (
-    "drone|policy=contender|flown in|each later lap, s|six laps, s|finished|saturated, %"
-)
+OF_BETAFLIGHT = "drone|policy=contender|flown in|six laps, s|each later lap, s|finished"
+OF_LAGS = "drone|policy=contender|flown in|tau_rate, ms|saturated, %"
 LEADS = "score, s|first lap, s|each later lap, s"
 MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"
 TABLES = {
@@ -102,6 +101,7 @@ TABLES = {
     "without": Table("interventions", OF_PARTS, lambda data: steps(data, PARTS)),
     "instructions": Table("instructions", "policy=file|build|" + "|".join(COUNTS)),
     "betaflight": Table("betaflight", OF_BETAFLIGHT, flights),
+    "lags": Table("betaflight", OF_LAGS, lambda data: fitted(flights(data))),
     "response": Table("betaflight_response", "drone|gains|roll|pitch|yaw|thrust|error", responses),
     "effects": Table("interventions", "from|to|trainings|saved, s", effects),
 }
