@@ -4,6 +4,7 @@ import statistics
 from collections.abc import Callable
 from typing import NamedTuple
 
+from benchmarks.betaflight_tables import BETAFLIGHT
 from benchmarks.comparison_tables import contenders, effects, lead_rows, steps
 from benchmarks.data_tables import (
     AGAIN,
@@ -13,7 +14,7 @@ from benchmarks.data_tables import (
     laps_of_policies,
     of_seeds_or_indi,
 )
-from benchmarks.plant_tables import CHARGES, charged, looped, unchanged
+from benchmarks.plant_tables import CHARGES, Data, charged, looped, unchanged
 from benchmarks.settings import Tree
 from benchmarks.steps import PARTS, STEPS
 from benchmarks.tracks import DRONES
@@ -21,7 +22,6 @@ from benchmarks.tracks import DRONES
 CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
 BODIES, COUNTS = ("body", "hall"), ("inference", "step", "stack", "start", "flash")
 README = {"e2e": "the published reward", "e2e +fastest": "time only"}
-Data = dict[str, list[Tree]]  # the rows of each file
 
 
 class Table(NamedTuple):
@@ -95,7 +95,6 @@ SIZES += "|Fz deviation=force deviation|deviations, mN m=moment deviations"
 LOOP = "gains of=name|roll rate, ms=p|pitch rate, ms=q|yaw rate, ms=r|thrust, ms=T"
 OF_EFFECTS = "|".join(f"{x}log-likelihood|{x}E2E|{x}INDI" for x in ("", AGAIN))
 OF_DRONES = "|".join(["track", *DRONES.values()])
-LEADS = "score, s|first lap, s|each later lap, s"
 MEAN = "mean action=mean, s|sampled=sampled, s|finish from random starts=random starts"
 TABLES = {
     "readme": Table("presets", f"preset|{MEAN}", of_readme),
@@ -110,7 +109,7 @@ TABLES = {
     "loop": Table("plant", "inner loop|time and finished=sampled loop", looped),
     "charge": Table("plant", "name|" + "|".join(CHARGES), charged),
     "tournament": Table("tournament", f"contender|{SCORED}", contenders),
-    "leads": Table("tournament", f"lead of E2E|{LEADS}", lead_rows),
+    "leads": Table("tournament", "lead of E2E|score, s|first lap, s|each later lap, s", lead_rows),
     "interventions": Table("interventions", OF_STEPS, lambda data: steps(data, STEPS)),
     "without": Table("interventions", OF_PARTS, lambda data: steps(data, PARTS)),
     "instructions": Table("instructions", "policy=file|build|" + "|".join(COUNTS)),
@@ -125,6 +124,7 @@ TABLES = {
     "posterior": Table("posterior", "number=name|range|median|90%"),
     "ablations": Table("", f"without|{OF_EFFECTS}", ablations),
     "effects": Table("interventions", "from|to|trainings|saved, s", effects),
+    **{name: Table(*table) for name, table in BETAFLIGHT.items()},
 }
 
 

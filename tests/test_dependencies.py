@@ -25,7 +25,8 @@ ALLOWED = {
     "replay": CONFIG - {"learners"}
     | {"config", "policy", "flights", "fitting", "evaluation", "export"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant"},
-    "sil": CONFIG - {"learners"} | {"config", "policy", "evaluation", "plant", "export", "flights"},
+    "sil": CONFIG - {"learners"}
+    | {"config", "policy", "evaluation", "plant", "export", "flights", "fitting"},
 }
 
 

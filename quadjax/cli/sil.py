@@ -1,5 +1,6 @@
 """``quadjax sil``."""
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -30,6 +31,16 @@ OfFields = Annotated[tuple[OfField, ...] | None, Parameter(metavar="FIELD=P", gr
 Probability = Annotated[float, opt.number(0.0, 1.0, metavar="P", group=FAULTS)]
 
 
+def _assignment(text: str) -> str:
+    if not re.fullmatch(r"\w+=[\w.,+-]+", text):
+        raise ValueError(f"{text!r}, allowed: NAME=VALUE, such as p_roll=60")
+    return text
+
+
+Assignment = Annotated[str, opt.reads(_assignment)]
+Settings = Annotated[tuple[Assignment, ...] | None, Parameter(name="--set", metavar="NAME=VALUE")]
+
+
 def sil(
     source: Annotated[opt.Export, Parameter(name="DIR|POLICY")],
     /,
@@ -39,6 +50,7 @@ def sil(
     plant: opt.PlantConfig | None = None,
     simulator: opt.Flag = False,
     autopilot: Literal["betaflight"] | None = None,
+    settings: Settings = None,
     laps: opt.Laps | None = None,
     runs: opt.Runs = 1,
     seed: opt.Seed = 0,
@@ -61,8 +73,9 @@ def sil(
     overrides change its config. With --simulator, it is the simulator that policies
     are trained in, which the models racing and a2rl need. With --autopilot
     betaflight, the C moves the sticks of Betaflight's firmware, which flies the
-    model racing of the policy's vehicle in that simulator. OUTPUT/NAME gets
-    states.npz (for quadjax view and quadjax report), sil.json and table.txt.
+    model racing of the policy's vehicle in that simulator; its flights are also logs
+    for quadjax fit betaflight. OUTPUT/NAME gets states.npz (for quadjax view and
+    quadjax report), sil.json and table.txt.
 
     Example: quadjax sil e2e --late 0.2 --delay 20
 
@@ -72,6 +85,7 @@ def sil(
         race: Config of the race (default: config.yaml of DIR, or that of the policy).
         simulator: Fly in the simulator of the training.
         autopilot: A firmware that flies, for policies of the model rate.
+        settings: Setting of the firmware, such as p_roll=60; may be repeated.
         laps: Laps of a run (default: evaluate.laps).
         runs: Number of runs.
         seed: Seed of drones and faults.
@@ -89,6 +103,8 @@ def sil(
         opt.refuse("with the folder of an export", target=target)
     if not late:
         opt.refuse("without --late", delay=delay)
+    if not autopilot:
+        opt.refuse("without --autopilot", set=settings)
     plant, target = plant or PLANT, target or DEFAULT_TARGET
     if overrides and (simulator or autopilot):
         option = "--simulator" if simulator else "--autopilot"
@@ -105,7 +121,7 @@ def sil(
 
     faults = Faults(drop, late, (DELAY if delay is None else delay) / 1000.0, stuck_at, nans, units)
     drone = None if simulator or autopilot else load_plant_config(plant, overrides)
-    how = (laps, runs, seed, faults, race, target, autopilot is not None)
+    how = (laps, runs, seed, faults, race, target, (settings or ()) if autopilot else None)
     setting = Setting(source, drone, *how)
     folder = output / name
     with (

@@ -101,7 +101,7 @@ def fit(config: FitConfig, folder: Path = Path(), report: Report = lambda line: 
     """
     enable_compilation_cache()
     vehicle = read_vehicle(config.vehicle, folder)
-    model = "racing" if vehicle.model == "racing" else "motor"
+    model = "motor" if "motor" in vehicle.models and vehicle.model != "racing" else "racing"
     base = with_body(vehicle, config.body, model)
     logs = read_logs(config.logs, folder, report)
     check_logs(config, logs, model)

@@ -17,7 +17,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.consistency import check_consistency
-from quadjax.fitting.formats import QUANTITIES, Quantities, log_format
+from quadjax.fitting.formats import PLAIN, QUANTITIES, Quantities, log_format, named_columns
 from quadjax.fitting.log_table import LogTable, read_csv, read_head
 from quadjax.fitting.magnitudes import check_attitude, check_columns, check_time
 from quadjax.fitting.quantities import (
@@ -32,6 +32,7 @@ from quadjax.fitting.quantities import (
     wanted_columns,
 )
 from quadjax.flights.flight import AXES, MOTORS, RATES, Flight, Signal, motion_signals
+from quadjax.vehicle.airframe import RPM_PER_RAD_S
 
 STANDIN_LOGS = "standin_logs"
 STANDIN_HINT = (
@@ -208,6 +209,23 @@ def highest_speed(logs: Sequence[Flight]) -> float:
     """The highest speed of some flights, m/s, to 0.1 m/s."""
     speeds = [np.linalg.norm(log["body_velocity"], axis=1)[log.flying].max() for log in logs]
     return round(float(max(speeds)), 1)
+
+
+def write_flight(path: Path | str, flight: Flight) -> None:
+    """Write a flight of the model ``racing`` under a rate policy as a plain log."""
+    quantities = {
+        "time": flight.time,
+        "rpm": RPM_PER_RAD_S * flight["actuators"],
+        "motor_command": flight["command"],
+        "rate_command": flight["rate_command"],
+        "thrust_command": flight["thrust_command"],
+        "gyro": flight["rates"],
+        "acceleration": flight["specific_force"],
+        "body_velocity": flight.rotation.inv().apply(flight["velocity"]),
+        "position": flight["position"],
+        "euler": flight["attitude"],
+    }
+    write_log(path, named_columns(quantities, PLAIN))
 
 
 def write_log(path: Path | str, columns: Quantities) -> None:

@@ -199,6 +199,7 @@ PLAIN = {
     "time": ["t"],
     "rpm": names("rpm_*", "1234"),
     "rpm_command": names("rpm_ref_*", "1234"),
+    "motor_command": names("motor_*", "1234"),
     "rate_command": names("*_ref", "pqr"),
     "thrust_command": ["thrust_ref"],
     "gyro": names("*", "pqr"),
@@ -293,8 +294,13 @@ def log_format(reference: str) -> LogFormat:
 
 def paparazzi_columns(quantities: Quantities) -> Quantities:
     """Quantities, each (n,) or (n, k), as named columns (n,) of a Paparazzi log."""
+    return named_columns(quantities, WRITTEN)
+
+
+def named_columns(quantities: Quantities, columns: Mapping[str, list[str]]) -> Quantities:
+    """Quantities, each (n,) or (n, k), as columns (n,) of the names of a format."""
     return {
         name: column
         for quantity, values in quantities.items()
-        for name, column in zip(WRITTEN[quantity], np.atleast_2d(values.T), strict=True)
+        for name, column in zip(columns[quantity], np.atleast_2d(values.T), strict=True)
     }

@@ -137,15 +137,16 @@ class NominalFits:
     def lags(self) -> tuple[list[Estimate], BatteryFit | None]:
         """The motors' lag with the battery's limit, and the rate-and-thrust model."""
         rows, constants = self._masks(self.split.all), self.constants(self.split.all)
-        if not isinstance(constants, MotorConstants):
-            return [], None
-        hover = float(np.sqrt(constants.g / (4.0 * constants.k_w)))
-        base = BatteryConfig().filled(float(constants.rpm_max))
-        lag, limit = fit_battery(self.logs, hover, base, rows, float(constants.tau))
-        if "rate" not in self.vehicle.models:
-            return [lag], limit
-        rate: Any = self.vehicle.constants("rate")
-        return [lag, *fit_rate_model(self.logs, rows, rate)], limit
+        lags, limit, logs = list[Estimate](), None, self.logs
+        if isinstance(constants, MotorConstants):
+            hover = float(np.sqrt(constants.g / (4.0 * constants.k_w)))
+            base = BatteryConfig().filled(float(constants.rpm_max))
+            lag, limit = fit_battery(logs, hover, base, rows, float(constants.tau))
+            lags.append(lag)
+        if "rate" in self.vehicle.models:
+            rate: Any = self.vehicle.constants("rate")
+            lags += fit_rate_model(logs, rows, rate)
+        return lags, limit
 
     def fitted_vehicle(self, lags: Sequence[Estimate]) -> VehicleFile:
         """The base vehicle with fitted constants; its ``fitted_speed`` is that of the flights."""

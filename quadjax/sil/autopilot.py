@@ -9,6 +9,7 @@ from quadjax.core.errors import InputError
 from quadjax.export.compiler import Failed, Skipped
 from quadjax.export.conversion import Converted
 from quadjax.export.library import Library
+from quadjax.flights.flight import Signal
 
 COUNTED = ("outside steps", "late calls", "nan calls")  # by the pilot, in a race
 
@@ -40,6 +41,9 @@ class Autopilot(Protocol):
 
     def outside(self) -> list[str]:
         """The inputs of the policy that were outside their range in this race."""
+
+    def signals(self) -> dict[str, Signal]:
+        """What it logs, by name, with a row for each call of this race."""
 
 
 class ExportedC:
@@ -84,3 +88,7 @@ class ExportedC:
     def outside(self) -> list[str]:
         """The inputs that were outside their range in this race."""
         return [label for bit in self._pilot.outside() for label in self._inputs[bit : bit + 1]]
+
+    def signals(self) -> dict[str, Signal]:
+        """Nothing: its commands are those of the flight."""
+        return {}

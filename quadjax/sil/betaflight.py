@@ -6,7 +6,7 @@ and the drone's own motor map makes a thrust a throttle.
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors
 from quadjax.export.conversion import Converted
 from quadjax.export.library import VEHICLE
+from quadjax.flights.flight import AXES, RATES, Signal
 from quadjax.sil.autopilot import Autopilot, ExportedC
 from quadjax.sil.betaflight_firmware import (
     CENTER,
@@ -90,13 +91,8 @@ class Betaflight:
 
     @property
     def files(self) -> str:
-        """What flies, and how evenly."""
-        real = 1e3 * np.array(self._firmware.exchanges[1:] or [0.0])
-        middle, late = np.percentile(real, (50, 99))
-        return (
-            f"{self._firmware.version} ({middle:.1f} ms a step, 1% above {late:.1f} ms, its clock "
-            f"at {self._firmware.clock():.2f} of simulated time), {self._pilot.files}"
-        )
+        """What flies."""
+        return f"{self._firmware.version}, {self._pilot.files}"
 
     def begin(self) -> None:
         """A race begins with the next call: arm, which resets the firmware's control loops.
@@ -104,11 +100,10 @@ class Betaflight:
         Raises:
             InputError: the firmware does not arm.
         """
-        flown = len(self._firmware.exchanges)
         arm(self._firmware)
-        del self._firmware.exchanges[flown:]
         self._pilot.begin()
         self._calls, self._status, self._command = 0, 0, np.zeros(4, np.float32)
+        self._rows = list[np.ndarray]()
 
     def step(self, now_us: int, vehicle: np.ndarray | None) -> tuple[int, np.ndarray]:
         """See ``Autopilot``."""
@@ -118,6 +113,8 @@ class Betaflight:
                 vehicle["autopilot_command"] = self._command
             self._status, self._command = self._pilot.step(now_us, vehicle)
         self._calls += 1
+        force = (RESTING if vehicle is None else vehicle)["specific_force"]
+        self._rows.append(np.concatenate([force, self._command]))
         return self._status, exchange(self._firmware, vehicle, self._sticks.of(self._command))
 
     def counts(self) -> dict[str, int]:
@@ -127,6 +124,15 @@ class Betaflight:
     def outside(self) -> list[str]:
         """The inputs of the policy that were outside their range in this race."""
         return self._pilot.outside()
+
+    def signals(self) -> dict[str, Signal]:
+        """The specific force, and the commands of the policy, as of a flight log."""
+        rows = np.reshape(self._rows, (-1, 7))
+        return {
+            "specific_force": Signal(rows[:, :3], "m/s^2", AXES),
+            "rate_command": Signal(rows[:, 3:6], "rad/s", RATES),
+            "thrust_command": Signal(rows[:, 6:], "m/s^2", ("thrust",)),
+        }
 
 
 def exchange(firmware: Firmware, vehicle: np.ndarray | None, sticks: list[int]) -> np.ndarray:
@@ -187,7 +193,7 @@ def drone_of(config: Config, laps: int) -> SimulatedDrone:
 
 @contextlib.contextmanager
 def betaflight_in_race(
-    converted: Converted, work: Path, laps: int
+    converted: Converted, work: Path, laps: int, settings: Sequence[str] = ()
 ) -> Iterator[tuple[SimulatedDrone, Betaflight]]:
     """The drone of a policy's race, and the running firmware with the policy at its sticks.
 
@@ -195,9 +201,11 @@ def betaflight_in_race(
         converted: the policy.
         work: folder for the C.
         laps: of a race.
+        settings: of the firmware, ``NAME=VALUE``, beyond ``SETTINGS``.
 
     Raises:
-        InputError: a policy or vehicle of another model, or a firmware that does not start.
+        InputError: a rejected setting, a policy or vehicle of another model, or a firmware that
+            does not start.
     """
     policy, config = converted.policy, converted.race.config
     if policy.vehicle != "rate":
@@ -213,7 +221,8 @@ def betaflight_in_race(
     highest = np.maximum(np.abs(policy.command_low), np.abs(policy.command_high))[:3]
     sticks = Sticks(constants, highest)
     pilot = ExportedC(converted, work, 1.0 / config.rules.time_step)
-    with Firmware(find_firmware(), sticks.settings(float(constants.turning.w1))) as firmware:
+    lines = sticks.settings(float(constants.turning.w1))
+    lines += [f"set {setting.replace('=', ' = ', 1)}" for setting in settings]
+    with Firmware(find_firmware(), lines) as firmware:
         check_turns(firmware, constants)
-        firmware.exchanges.clear()
         yield drone, Betaflight(firmware, pilot, sticks, every)

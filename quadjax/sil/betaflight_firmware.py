@@ -1,18 +1,18 @@
 """Betaflight's firmware as a process of this machine: its ports, command line and packets.
 
 The firmware is the "software in the loop" build of the package ``betaflight``. It takes sticks and
-a state by UDP and answers each state with motor outputs. Its clock runs at the ratio of simulated
-to real time between the last two states, so an exchange that takes longer than the one before gives
-the firmware more than ``STEP`` of its time; see ``Firmware.clock``.
+a state by UDP and answers each state with motor outputs. ``lockstep.c`` is loaded into it: its
+clock advances by ``STEP`` with each state and stands still in between, so a flight does not depend
+on the computer's speed.
 """
 
 import contextlib
 import importlib.util
+import os
 import socket
 import struct
 import subprocess
 import tempfile
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
@@ -20,17 +20,17 @@ from typing import Self
 import numpy as np
 
 from quadjax.core.errors import InputError
+from quadjax.export.compiler import Failed, Skipped, host
 
-HOST, COMMAND_LINE = "127.0.0.1", 5761
-MOTORS_RAW, MOTORS, STATE, STICKS = 9001, 9002, 9003, 9004  # UDP
+HOST = "127.0.0.1"
 CHANNELS, LOW, CENTER, HIGH = 16, 1000, 1500, 2000  # of the sticks, microseconds
 ROTORS = (2, 0, 3, 1)  # from the packet's front-right, rear-left, front-left, rear-right to ours
 STEP = 0.001  # s of simulated time between two states
-# Least real time of an exchange, s: a turn of the firmware's main loop takes 0.12 ms, and 10 turns
-# of its gyro loop are due in each millisecond of its clock.
-EXCHANGE_S = 0.003
-ANSWER_S, AGAIN_S = 2.0, 0.05  # longest wait for an answer, and until a state is sent again, s
-START_S, ATTEMPTS = 5.0, 3  # longest wait for the command line; the firmware may hang at a start
+ANSWER_S, START_S = 10.0, 10.0  # longest wait for an answer, and for the start
+ATTEMPTS = 3  # the firmware may hang at a start
+PORTS = "3H"  # of state, sticks and command line: the packet of a firmware that has started
+LOCKSTEP = Path(__file__).with_name("lockstep.c")
+FREE = -1.0  # time of a state after which the firmware's clock runs freely
 PROMPT = b"\n# "
 
 
@@ -52,58 +52,38 @@ def find_firmware() -> Path:
     return found[-1]
 
 
-def check_ports() -> None:
-    """Check that the fixed ports of the firmware are free.
-
-    Raises:
-        InputError: one is in use.
-    """
-    kinds = [(port, "UDP", socket.SOCK_DGRAM) for port in (MOTORS_RAW, MOTORS, STATE, STICKS)]
-    for port, name, kind in [*kinds, (COMMAND_LINE, "TCP", socket.SOCK_STREAM)]:
-        with socket.socket(socket.AF_INET, kind) as one:
-            if kind == socket.SOCK_STREAM:  # closed connections do not hold the port
-                one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                one.bind(("", port))
-            except OSError:
-                raise InputError(
-                    f"{name} port {port} is in use, Betaflight's firmware needs it: end what has it"
-                ) from None
-
-
 class Firmware:
     """The firmware with settings, which runs within a ``with`` block.
 
     Attributes:
         version: of the firmware, as text.
-        exchanges: real time of each exchange, s, since the start or since they were cleared.
+        settings: lines of its command line.
     """
 
     def __init__(self, executable: Path, settings: Sequence[str]) -> None:
-        """Take the executable and the settings, lines of its command line."""
-        self.version, self.exchanges = executable.name, list[float]()
-        self._executable, self._settings = executable, settings
+        """Take the executable and the settings."""
+        self.version, self.settings, self._executable = executable.name, settings, executable
         self._process: subprocess.Popen[bytes] | None = None
-        self._time, self._sent_at = 0.0, time.perf_counter()
 
     def __enter__(self) -> Self:
         """Start the firmware, store the settings, and start it again.
 
         Raises:
-            InputError: a port in use, a firmware that does not start, or a rejected setting.
+            InputError: no C compiler, a firmware that does not start, or a rejected setting.
         """
-        check_ports()
         with contextlib.ExitStack() as stack:
-            self._folder = stack.enter_context(tempfile.TemporaryDirectory())
+            self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            self._lockstep = _build(self._folder)
             stack.callback(self._stop)
             self._socket = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            self._socket.bind((HOST, MOTORS))
-            with self._start() as line:
-                for setting in self._settings:
+            self._socket.bind((HOST, 0))
+            self._start()
+            with self._command_line() as line:
+                for setting in self.settings:
                     _ask(line, setting)
                 line.sendall(b"save\n")
                 self._wait()
-            self._start(open_command_line=False).close()  # which would forbid arming
+            self._start()  # the open command line would forbid arming
             self._stack = stack.pop_all()
         return self
 
@@ -122,80 +102,58 @@ class Firmware:
             InputError: the firmware does not answer.
         """
         channels = [*sticks, *[LOW] * (CHANNELS - len(sticks))]
-        time.sleep(max(0.0, self._sent_at + EXCHANGE_S - time.perf_counter()))
-        now = time.perf_counter()
-        self.exchanges.append(now - self._sent_at)
-        self._sent_at, answer = now, b""
-        while not answer and time.perf_counter() < now + ANSWER_S:
-            answer = self._answer(state, channels)
-        if not answer:
-            raise InputError(f"{self.version} does not answer within {ANSWER_S:g} s")
-        return np.frombuffer(answer[:16], "<f4")[list(ROTORS)]
-
-    def _answer(self, state: np.ndarray, channels: Sequence[int]) -> bytes:
-        """The newest packet of the motors; empty if there is none within ``AGAIN_S``.
-
-        The firmware's clock nearly stands still after the second of two states with a long time
-        between them, until the next state.
-        """
-        self._time += STEP
-        packet = struct.pack(f"<d{CHANNELS}H", self._time, *channels)
-        self._socket.sendto(packet, (HOST, STICKS))
-        self._socket.sendto(struct.pack("<18d", self._time, *state), (HOST, STATE))
-        answer = b""
-        with contextlib.suppress(TimeoutError, BlockingIOError):
-            self._socket.settimeout(AGAIN_S)
-            answer = self._socket.recv(64)
-            self._socket.settimeout(0.0)
-            while True:  # a state after a pause has two answers
-                answer = self._socket.recv(64)
-        return answer
-
-    def clock(self) -> float:
-        """The mean rate of the firmware's clock to simulated time; 1 with equal exchanges."""
-        real = np.array(self.exchanges)
-        return float(np.mean(real[1:] / real[:-1])) if len(real) > 1 else 1.0
+        # The time of all states is 0, by which the firmware leaves the rate of its clock at 1.
+        self._socket.sendto(struct.pack(f"<d{CHANNELS}H", 0.0, *channels), (HOST, self._sticks))
+        self._socket.sendto(struct.pack("<18d", 0.0, *state), (HOST, self._state))
+        try:
+            return np.frombuffer(self._socket.recv(64)[:16], "<f4")[list(ROTORS)]
+        except TimeoutError:
+            raise InputError(f"{self.version} does not answer within {ANSWER_S:g} s") from None
 
     def arming_flags(self) -> str:
-        """What prevents arming, in the firmware's words."""
-        with self._connect() as line:
-            _ask(line, "#")
+        """What prevents arming, in the firmware's words; it can fly no more."""
+        with self._command_line() as line:
             answer = _ask(line, "status").splitlines()
-        flags = [x.partition(":")[2].strip() for x in answer if x.startswith("Arming disable")]
-        return flags[0].removesuffix("CLI").strip() if flags else ""
+        flags = [x.partition(":")[2] for x in answer if x.startswith("Arming disable")]
+        return " ".join(flag for flag in "".join(flags).split() if flag != "CLI")
 
-    def _start(self, open_command_line: bool = True) -> socket.socket:
-        """Start the process; a connection to its command line, opened or not.
+    def _start(self) -> None:
+        """Start the process and wait for its ports, until its clock stands still.
 
         Raises:
             InputError: it does not start.
         """
+        motors = str(self._socket.getsockname()[1])
+        preload = {"LD_PRELOAD": str(self._lockstep), "QUADJAX_MOTORS": motors}
         for _ in range(ATTEMPTS):
             self._process = subprocess.Popen(
                 [self._executable, HOST],
                 cwd=self._folder,
+                env=os.environ | preload,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C is for this process, which ends the firmware
             )
-            with contextlib.suppress(InputError):
-                line = self._connect()
-                if open_command_line:
-                    _ask(line, "#")
-                return line
+            self._socket.settimeout(START_S)
+            with contextlib.suppress(TimeoutError):
+                while len(packet := self._socket.recv(64)) != struct.calcsize(PORTS):
+                    pass  # of motors
+                self._state, self._sticks, self._line = struct.unpack(PORTS, packet)
+                self._socket.settimeout(ANSWER_S)
+                return
             self._stop()
         raise InputError(f"{self.version} does not start")
 
-    def _connect(self) -> socket.socket:
-        end = time.perf_counter() + START_S
-        while True:
-            try:
-                return socket.create_connection((HOST, COMMAND_LINE), ANSWER_S)
-            except OSError:
-                if time.perf_counter() > end:
-                    raise InputError(f"{self.version} accepts no connection") from None
-                time.sleep(0.05)
+    def _command_line(self) -> socket.socket:
+        """The open command line, for which the firmware's clock runs freely from now on."""
+        self._socket.sendto(struct.pack("<18d", FREE, *[0.0] * 17), (HOST, self._state))
+        try:
+            line = socket.create_connection((HOST, self._line), ANSWER_S)
+        except OSError:
+            raise InputError(f"{self.version} accepts no connection") from None
+        _ask(line, "#")
+        return line
 
     def _wait(self) -> None:
         """Wait until the process has ended by itself, as it does after saving."""
@@ -208,6 +166,19 @@ class Firmware:
         if self._process is not None:
             self._process.kill()
             self._process.wait()
+
+
+def _build(folder: Path) -> Path:
+    """``lockstep.c``, compiled in a folder.
+
+    Raises:
+        InputError: no compiler, or C that does not compile.
+    """
+    options = ("-shared", "-fPIC", "-ldl", "-lpthread")
+    try:
+        return host().build([LOCKSTEP], folder / "lockstep.so", options)
+    except (Skipped, Failed) as error:
+        raise InputError(f"{LOCKSTEP.name} cannot be compiled: {error}") from None
 
 
 def _ask(line: socket.socket, command: str) -> str:

@@ -91,6 +91,7 @@ def fly(
     values = {key: np.reshape(row, (len(row), sizes[key])) for key, row in rows.items()}
     ends = (result.lap_times[0], result.crashes[0])
     record = simulated_flight(name, drone.step, values, gates, drone.model, *ends)
+    record = record.replace(signals=record.signals | autopilot.signals())
     for prefix, found in (("states ", channel.counts), ("autopilot: ", autopilot.counts())):
         counts.update({f"{prefix}{key}": count for key, count in found.items()})
     found = {key: count for key, count in counts.items() if count or key == "steps"}

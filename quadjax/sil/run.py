@@ -24,6 +24,7 @@ from quadjax.export.convert import convert_file
 from quadjax.export.folder import read_folder
 from quadjax.export.names import symbol_name
 from quadjax.export.targets import DEFAULT_TARGET
+from quadjax.fitting.flight_log import write_flight
 from quadjax.flights.files import save
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import plan_race
@@ -33,14 +34,14 @@ from quadjax.policy.race import warn_of_other_race
 from quadjax.race.laps import Laps
 from quadjax.sil.autopilot import Autopilot, ExportedC
 from quadjax.sil.betaflight import betaflight_in_race
-from quadjax.sil.betaflight_firmware import check_ports, find_firmware
+from quadjax.sil.betaflight_firmware import find_firmware
 from quadjax.sil.drones import SimulatedDrone, plant_drone, simulator_drone
 from quadjax.sil.faults import Faults
 from quadjax.sil.fly import FlightResult, fly
 
 ON_PLANT = ("motor", "rate")  # vehicle models that a plant has
 STATES_FILE = "states.npz"
-FILES = (STATES_FILE, "sil.json", "table.txt", "flight.html")
+FILES = (STATES_FILE, "sil.json", "table.txt", "flight.html", "log_*.csv")
 SAME_LOOP = 0.03  # largest relative difference of the loop rates of plant and autopilot
 MEANINGS = {  # of counts
     "autopilot: late calls": "calls without a new state",
@@ -63,7 +64,8 @@ class Setting:
     # config of the race, named by the user; that of the folder or policy if not given
     race: Path | str | None = None
     target: str = DEFAULT_TARGET  # processor and autopilot for which a policy file is converted
-    betaflight: bool = False  # Betaflight's firmware flies, under the commands of the C
+    # settings of Betaflight's firmware, NAME=VALUE, which flies under the commands of the C
+    betaflight: tuple[str, ...] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,16 +115,20 @@ class Flown:
             "drone": self.drone,
             "counts": self.counts,
             "outside": sorted({name for race in self.races for name in race.outside}),
+            "settings": list(setting.betaflight) if setting.betaflight is not None else None,
             "faults": dataclasses.asdict(setting.faults) if setting.faults else None,
             "provenance": provenance(self.config, seed=setting.seed),
             "plant": setting.plant.model_dump(mode="json") if setting.plant else None,
         }
 
     def write(self, folder: Path) -> None:
-        """Write ``FILES`` but for the page: states, numbers, table."""
+        """Write ``FILES`` but for the page: states, logs, numbers, table."""
         flights, record = [race.flight for race in self.races], self.to_json()
         if any(len(flight.time) for flight in flights):
             save(flights, folder / STATES_FILE, **record)
+        for number, flight in enumerate(flights):
+            if "rate_command" in flight.signals and len(flight.time):
+                write_flight(folder / f"log_{number}.csv", flight)
         write_json(folder / "sil.json", record)
         write_text(folder / "table.txt", self.text() + "\n")
 
@@ -158,9 +164,8 @@ def fly_all(
         KeyboardInterrupt: stopped before the first step.
     """
     enable_compilation_cache()
-    if setting.betaflight:
+    if setting.betaflight is not None:
         find_firmware()
-        check_ports()
     with tempfile.TemporaryDirectory() as work:
         return _fly_all(setting, Path(work), stop, report)
 
@@ -175,8 +180,8 @@ def _fly_all(
     report("building the C")
     with contextlib.ExitStack() as stack:
         autopilot: Autopilot
-        if setting.betaflight:
-            in_race = betaflight_in_race(converted, work, laps)
+        if setting.betaflight is not None:
+            in_race = betaflight_in_race(converted, work, laps, setting.betaflight)
             drone, autopilot = stack.enter_context(in_race)
         else:
             drone = make_drone(config, converted.policy, setting.plant, laps)

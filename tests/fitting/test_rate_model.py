@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from quadjax.fitting.config import LogsConfig
-from quadjax.fitting.flight_log import read_log, write_log
+from quadjax.fitting.flight_log import read_log, write_flight, write_log
 from quadjax.fitting.formats import paparazzi_columns
 from quadjax.fitting.motors import fit_rate_model
 from quadjax.fitting.samples import airborne
 from quadjax.fitting.signals import first_order
+from quadjax.vehicle.airframe import RPM_PER_RAD_S
 from quadjax.vehicle.vehicle_file import read_vehicle
 
 from .flights import RATE, simulated
@@ -88,3 +89,18 @@ def test_the_order_of_the_flights_has_no_influence(log):
         assert first.values[name] == pytest.approx(second.values[name], rel=1e-4)
         errors = first.errors[name], second.errors[name]
         assert errors[0] == pytest.approx(errors[1], rel=1e-4)
+
+
+def test_a_simulated_flight_is_a_plain_log(log, tmp_path):
+    """As ``quadjax sil --autopilot betaflight`` writes it, with speeds in rad/s."""
+    speeds = log["actuators"] / RPM_PER_RAD_S
+    command = np.random.default_rng(0).uniform(0.0, 1.0, speeds.shape)
+    flight = log.with_signals(actuators=speeds, command=command)
+    write_flight(tmp_path / "log_0.csv", flight)
+    names = {"max_scale_error": 1e6, "max_angle": 180.0, "max_delay": 1e6}
+    read = read_log(tmp_path / "log_0.csv", LogsConfig(format="plain", **names))
+    for name in ("rate_command", "thrust_command", "rates", "specific_force", "position"):
+        np.testing.assert_allclose(read[name], log[name], rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(read["actuators"], log["actuators"], rtol=1e-5)
+    np.testing.assert_allclose(read["motor_command"], command, atol=1e-6)
+    np.testing.assert_allclose(read["body_velocity"], log["body_velocity"], atol=1e-4)

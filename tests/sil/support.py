@@ -82,3 +82,6 @@ class Autopilot:
 
     def outside(self):
         return ["rates[0]"]
+
+    def signals(self):
+        return {}
