@@ -7,6 +7,7 @@ INDI, E2E = ("indi_race", "vehicle={}_betaflight", *RACE), ("e2e_race", "vehicle
 CONTENDERS = {  # preset and overrides of a drone
     "INDI, published lags": (*INDI, *(f"vehicle.constants.{k}={x}" for k, x in PUBLISHED.items())),
     "INDI, measured lags": INDI,
+    "INDI, 50 m/s^2": (*INDI, "vehicle.constants.thrust_max=50"),
     "E2E": E2E,
 }
 
