@@ -16,7 +16,7 @@ from benchmarks.data_tables import (
 )
 from benchmarks.plant_tables import CHARGES, Data, charged, looped, unchanged
 from benchmarks.settings import Tree
-from benchmarks.steps import PARTS, STEPS
+from benchmarks.steps import CHARGED, PARTS, STEPS
 from benchmarks.tracks import DRONES
 
 CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
@@ -89,6 +89,7 @@ BODY = "sampled|with a body=body|body and hall=hall|random starts"
 BODY += "|random starts, with a body=random starts, body"
 SCORED = "drones and seeds|score, s|of each seed, s|time, s|finished"
 OF_PARTS = "E2E=contender|drones and seeds|score, s|of each seed, s|finished|simulated, s"
+OF_CHARGES = "E2E=contender|score, s|of each seed, s"
 OF_STEPS = "step=contender|score, s|of each seed, s|time, s|finished"
 SIZES = "model=name|Fz mean / rms / largest, m/s^2=force|Mx, My, Mz rms, mN m=moments"
 SIZES += "|Fz deviation=force deviation|deviations, mN m=moment deviations"
@@ -112,6 +113,7 @@ TABLES = {
     "leads": Table("tournament", "lead of E2E|score, s|first lap, s|each later lap, s", lead_rows),
     "interventions": Table("interventions", OF_STEPS, lambda data: steps(data, STEPS)),
     "without": Table("interventions", OF_PARTS, lambda data: steps(data, PARTS)),
+    "emptied": Table("interventions", OF_CHARGES, lambda data: steps(data, CHARGED)),
     "instructions": Table("instructions", "policy=file|build|" + "|".join(COUNTS)),
     "size": Table("size", SIZES),
     "identify": Table("identify", LOOP),
