@@ -98,6 +98,7 @@ static void advance(long long ns) {
         ns -= end - now;
         now = end;
         standing = 1;
+        pthread_cond_broadcast(&changed);
         if (end == BOOT_NS) report_ports();
         while (standing && !free_running) pthread_cond_wait(&changed, &turn);
     }
@@ -125,6 +126,7 @@ int nanosleep(const struct timespec *wanted, struct timespec *left) {
     return 0;
 }
 
+/* A packet waits until the main thread stands still, and sticks for the state before them. */
 ssize_t recvfrom(int fd, void *data, size_t size, int flags, struct sockaddr *from,
                  socklen_t *length) {
     ssize_t (*next)(int, void *, size_t, int, struct sockaddr *, socklen_t *), got;
@@ -132,6 +134,8 @@ ssize_t recvfrom(int fd, void *data, size_t size, int flags, struct sockaddr *fr
     got = next(fd, data, size, flags, from, length);
     handled = got <= 0 ? 0 : fd == state_fd ? STATE : fd == sticks_fd ? STICKS : 0;
     if (handled == STATE && *(double *)data < 0.0) free_running = 1;
+    while (handled && !free_running && (!standing || (handled == STICKS && sticks > states)))
+        pthread_cond_wait(&changed, &turn);
     return got;
 }
 
@@ -141,8 +145,8 @@ int select(int count, fd_set *in, fd_set *out, fd_set *other, struct timeval *ti
     NEXT("select");
     sticks += handled == STICKS;
     if (handled == STATE) {
+        while (sticks <= states && !free_running) pthread_cond_wait(&changed, &turn);
         states++;
-        while (sticks < states && !free_running) pthread_cond_wait(&changed, &turn);
         end += STEP_NS;
         standing = 0;
     }
