@@ -156,11 +156,16 @@ class Firmware:
         return line
 
     def _wait(self) -> None:
-        """Wait until the process has ended by itself, as it does after saving."""
+        """Wait until the process has ended by itself, as it does after saving.
+
+        Raises:
+            InputError: it does not end, so nothing says that it has saved.
+        """
         assert self._process is not None
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(START_S)
-        self._stop()
+        try:
+            self._process.wait(ANSWER_S)
+        except subprocess.TimeoutExpired:
+            raise InputError(f"{self.version} does not store its settings") from None
 
     def _stop(self) -> None:
         if self._process is not None:
