@@ -25,25 +25,33 @@ def best_laps(_: object) -> list[Tree]:
     return list(made.values())
 
 
-def gap(row: Tree) -> list[float]:
-    """How much longer the laps of a row are than the best known one, %."""
+def gap(row: Tree) -> list[float | None]:
+    """How much longer the laps of a row are than the best known one, %; None without a lap."""
     preset, *words = row["config"]
     track, vehicle = (word.partition("=")[2] for word in words)
     best = read_best("best_known_indi" if preset == "indi_race" else "best_known")
-    return [100.0 * (lap / best[track, vehicle].seconds - 1.0) for lap in row["lap, s"]]
+    shortest = best[track, vehicle].seconds
+    return [None if lap is None else 100.0 * (lap / shortest - 1.0) for lap in row["lap, s"]]
 
 
 def laps_of_policies(data: dict[str, list[Tree]]) -> list[Tree]:
-    """A line for each track: lap, gap and crashed flights of E2E, medians of the seeds."""
+    """A line for each track: lap, gap and crashed flights of E2E, medians of the seeds.
+
+    Lap and gap are "-" where a seed has none.
+    """
+
+    def middle(values: list[float | None], digits: int) -> str:
+        known = [x for x in values if x is not None]
+        return f"{statistics.median(known):.{digits}f}" if len(known) == len(values) else "-"
+
     made: dict[str, Tree] = {}
     for row in data["tracks"]:
         preset, vehicle, track = row["name"].split()
         if preset == "e2e_race":
             line = made.setdefault(track, dict.fromkeys(DRONES.values(), "-"))
-            numbers = (row["lap, s"], gap(row), row["crashed, %"])
-            lap, longer, crashed = (statistics.median(x) for x in numbers)
+            numbers = (row["lap, s"], 3), (gap(row), 1), (row["crashed, %"], 1)
             line["track"] = f"`{track}`"
-            line[DRONES[vehicle]] = f"{lap:.3f}, {longer:.1f}, {crashed:.1f}"
+            line[DRONES[vehicle]] = ", ".join(middle(*each) for each in numbers)
     return list(made.values())
 
 

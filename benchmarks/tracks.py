@@ -94,7 +94,7 @@ def row_of(preset: str, runs: list[quadjax.Run], numbers: list[tuple[float, floa
         "command": f"quadjax train {preset} {' '.join(words)}, then python -m benchmarks.tracks",
         "config": [preset, *words],
         "seeds": [run.config.seed for run in runs],
-        "lap, s": [round(lap, 3) for lap, _ in numbers],
+        "lap, s": [round(lap, 3) if math.isfinite(lap) else None for lap, _ in numbers],
         "crashed, %": [round(100.0 * crashed, 1) for _, crashed in numbers],
     }
     for run in runs:
