@@ -71,12 +71,9 @@ def ablations(_: object) -> list[Tree]:
         return known | {f"{prefix}{a}": f"{b.replace('nan', '-')} ({c})" for a, b, c in flown}
 
     found, made = read_json(EFFECTS), []
-    for key, entry in found.items():
-        if key.endswith(", again"):
-            made[-1] |= told(entry, AGAIN)
-        else:
-            empty = dict.fromkeys((f"{AGAIN}{x}" for x in ("log-likelihood", "E2E", "INDI")), "")
-            name = key.removeprefix("without ")
-            made.append({"without": "nothing" if name == "all" else f"`{name}`"})
-            made[-1] |= empty | told(entry, "")
+    empty = dict.fromkeys((f"{AGAIN}{x}" for x in ("log-likelihood", "E2E", "INDI")), "")
+    for key in (key for key in found if not key.endswith(", again")):
+        name, again = key.removeprefix("without "), found.get(f"{key}, again")
+        line = {"without": "nothing" if name == "all" else f"`{name}`"} | told(found[key], "")
+        made.append(line | (told(again, AGAIN) if again else empty))
     return made
