@@ -17,7 +17,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.consistency import check_consistency
-from quadjax.fitting.formats import PLAIN, QUANTITIES, Quantities, log_format, named_columns
+from quadjax.fitting.formats import QUANTITIES, WRITTEN_PLAIN, Quantities, log_format, named_columns
 from quadjax.fitting.log_table import LogTable, read_csv, read_head
 from quadjax.fitting.magnitudes import check_attitude, check_columns, check_time
 from quadjax.fitting.quantities import (
@@ -225,7 +225,7 @@ def write_flight(path: Path | str, flight: Flight) -> None:
         "position": flight["position"],
         "euler": flight["attitude"],
     }
-    write_log(path, named_columns(quantities, PLAIN))
+    write_log(path, named_columns(quantities, WRITTEN_PLAIN))
 
 
 def write_log(path: Path | str, columns: Quantities) -> None:

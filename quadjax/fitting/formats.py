@@ -199,7 +199,6 @@ PLAIN = {
     "time": ["t"],
     "rpm": names("rpm_*", "1234"),
     "rpm_command": names("rpm_ref_*", "1234"),
-    "motor_command": names("motor_*", "1234"),
     "rate_command": names("*_ref", "pqr"),
     "thrust_command": ["thrust_ref"],
     "gyro": names("*", "pqr"),
@@ -222,7 +221,8 @@ PAPARAZZI = {
     "euler": ["att_phi", "att_theta", "att_psi"],
     "mode": ["autopilot_mode"],
 }
-# Columns of a written log; the fit does not read the last quantity.
+# Columns of written logs. A fit reads motor_command only by ``logs.columns``, and no target_gate.
+WRITTEN_PLAIN = PLAIN | {"motor_command": names("motor_*", "1234")}
 WRITTEN = PAPARAZZI | {"target_gate": names("target_gate_*")}
 FORMATS: dict[str, LogFormat] = {
     "plain": LogFormat(PLAIN),

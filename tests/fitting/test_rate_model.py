@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadjax.fitting.config import LogsConfig
+from quadjax.fitting.config import LogsConfig, load_fit_config
 from quadjax.fitting.flight_log import read_log, write_flight, write_log
 from quadjax.fitting.formats import paparazzi_columns
 from quadjax.fitting.motors import fit_rate_model
@@ -97,10 +97,13 @@ def test_a_simulated_flight_is_a_plain_log(log, tmp_path):
     command = np.random.default_rng(0).uniform(0.0, 1.0, speeds.shape)
     flight = log.with_signals(actuators=speeds, command=command)
     write_flight(tmp_path / "log_0.csv", flight)
-    names = {"max_scale_error": 1e6, "max_angle": 180.0, "max_delay": 1e6}
-    read = read_log(tmp_path / "log_0.csv", LogsConfig(format="plain", **names))
+    unchecked = {"max_scale_error": 1e6, "max_angle": 180.0, "max_delay": 1e6}
+    config = load_fit_config("betaflight").logs.replace(**unchecked)
+    read = read_log(tmp_path / "log_0.csv", config)
     for name in ("rate_command", "thrust_command", "rates", "specific_force", "position"):
         np.testing.assert_allclose(read[name], log[name], rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(read["actuators"], log["actuators"], rtol=1e-5)
     np.testing.assert_allclose(read["motor_command"], command, atol=1e-6)
     np.testing.assert_allclose(read["body_velocity"], log["body_velocity"], atol=1e-4)
+    other = read_log(tmp_path / "log_0.csv", config.replace(columns={}))
+    assert "motor_command" not in other.signals  # those of other plain logs may be pulse widths
