@@ -4,8 +4,8 @@ import re
 import statistics
 from pathlib import Path
 
+from benchmarks.best_laps import DRONES, read_best
 from benchmarks.settings import Tree
-from benchmarks.tracks import DRONES, read_best
 from quadjax.core.files import read_json
 
 EFFECTS = Path(__file__).parent / "cyberzoo_effects.json"

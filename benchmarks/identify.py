@@ -6,14 +6,13 @@ From hover, without effects and delays, with the gains of ``exact`` (the default
 
 import functools
 import statistics
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from benchmarks import rows
+from benchmarks.first_order import Step, fit_step
 from quadjax.cli import script
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import gusts, indi, plant
@@ -27,29 +26,6 @@ from quadjax.vehicle.rigid_body import RigidBodyState
 SECONDS, EXPECTED = 0.2, (0.025, 0.035)  # s; the training model has 0.03 s
 RATES = (0.5, 1.0, -1.0, 2.0, 3.0, -3.0)  # rad/s
 STEPS = {"p": RATES, "q": RATES, "r": RATES, "T": (8.0, 11.0, 12.5, 5.0, 15.0, 2.0)}  # T: m/s^2
-
-
-class Step(NamedTuple):
-    """One step response, rad/s or m/s^2, and its fit."""
-
-    axis: str
-    start: float
-    target: float
-    tau: float  # s
-    error: float  # RMS, as a fraction of the step
-    saturated: float  # fraction of the time with a motor command at a limit
-
-
-def fit_step(axis, target, time, response, saturated=0.0) -> Step:
-    """Least-squares fit of ``start + (target - start) (1 - exp(-t / tau))`` to a response (n,)."""
-    start = float(response[0])
-
-    def square(tau: float) -> float:
-        return float(np.mean((response - target - (start - target) * np.exp(-time / tau)) ** 2))
-
-    tau = float(minimize_scalar(square, bounds=(1e-3, 1.0), method="bounded").x)
-    error = float(np.sqrt(square(tau))) / max(abs(target - start), 1e-9)
-    return Step(axis, start, target, tau, error, saturated)
 
 
 def responses(config: PlantConfig, steps: dict[str, tuple[float, ...]] = STEPS) -> list[Step]:

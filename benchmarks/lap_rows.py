@@ -6,8 +6,8 @@ from pathlib import Path
 
 import quadjax
 from benchmarks import rows
+from benchmarks.columns import CONDITIONS
 from benchmarks.settings import Tree, check_run
-from benchmarks.tables import CONDITIONS
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.training.result import Run

@@ -10,8 +10,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from textwrap import fill
 
+from benchmarks.columns import cell
 from benchmarks.settings import Tree
-from benchmarks.tables import TABLES, Data, Table, cell
+from benchmarks.tables import TABLES, Data, Table
 from quadjax.core.markdown import table
 from quadjax.core.resources import PRETRAINED
 

@@ -1,10 +1,11 @@
-"""The tables of the documentation: of which rows, and the text of their columns."""
+"""The tables of the documentation: of which rows, and with which columns."""
 
-import statistics
 from collections.abc import Callable
 from typing import NamedTuple
 
+from benchmarks.best_laps import DRONES
 from benchmarks.betaflight_tables import BETAFLIGHT
+from benchmarks.columns import BODIES, COUNTS
 from benchmarks.comparison_tables import contenders, effects, lead_rows, steps
 from benchmarks.data_tables import (
     AGAIN,
@@ -17,10 +18,7 @@ from benchmarks.data_tables import (
 from benchmarks.plant_tables import CHARGES, Data, charged, looped, unchanged
 from benchmarks.settings import Tree
 from benchmarks.steps import CHARGED, PARTS, STEPS
-from benchmarks.tracks import DRONES
 
-CONDITIONS = ("mean", "sampled", "mean, random", "sampled, random")  # of flights
-BODIES, COUNTS = ("body", "hall"), ("inference", "step", "stack", "start", "flash")
 README = {"e2e": "the published reward", "e2e +fastest": "time only"}
 
 
@@ -31,28 +29,10 @@ class Table(NamedTuple):
     """
 
     file: str
-    columns: str  # of COLUMNS, or keys of the row; each may have another title: TITLE=COLUMN
+    columns: (
+        str  # of ``columns.COLUMNS``, or keys of the row; each may have another title: TITLE=COLUMN
+    )
     rows: Callable[[Data], list[Tree]] | None = None
-
-
-def spread(values: list[float | None] | None) -> str:
-    """Median and range of the numbers; the number alone if there is one."""
-    numbers = [value for value in values or () if value is not None]
-    if not numbers:
-        return "-"
-    median, low, high = (f"{of(numbers):.2f}" for of in (statistics.median, min, max))
-    return median if len(numbers) == 1 else f"{median} ({low}-{high})"
-
-
-def finished(row: Tree, condition: str) -> str:
-    """Number of flights that finish, of those of all seeds."""
-    counts = row["finished"].get(condition)
-    return f"{sum(counts)}/{row['flights'] * len(counts)}" if counts else "-"
-
-
-def time(row: Tree, condition: str) -> str:
-    """The time of one policy; in brackets, the number of flights that finish."""
-    return f"{spread(row['total'][condition])} ({row['finished'][condition][0]})"
 
 
 def with_bodies(data: Data) -> list[Tree]:
@@ -69,22 +49,6 @@ def of_readme(data: Data) -> list[Tree]:
     return [rows[name] | {"preset": f"`{name}`: {text}"} for name, text in README.items()]
 
 
-COLUMNS: dict[str, Callable[[Tree], str]] = {
-    "name": lambda row: f"`{row['name']}`",
-    "file": lambda row: f"`{row['policy']}`",
-    **{key: lambda row, key=key: f"{row[key]:,}" if row[key] else "-" for key in COUNTS},
-    "race": lambda row: f"`{' '.join(row['race'])}`",
-    "policy": lambda row: row["label"],
-    **{f"{c}, s": lambda row, c=c: spread(row["total"].get(c)) for c in CONDITIONS},
-    **{c: lambda row, c=c: time(row, c) for c in CONDITIONS},
-    **{body: lambda row, body=body: time(row[body], "sampled") for body in BODIES},
-    "hover": lambda row: finished(row, "sampled"),
-    "random starts": lambda row: finished(row, "sampled, random"),
-    "random starts, body": lambda row: finished(row["body"], "sampled, random"),
-    "10^6 steps": lambda row: f"{row['steps'] / 1e6:.1f}",
-    "noise": lambda row: f"{statistics.median(row['noise']):.2f}",
-    "seed": lambda row: str(row["seeds"][0]),
-}
 BODY = "sampled|with a body=body|body and hall=hall|random starts"
 BODY += "|random starts, with a body=random starts, body"
 SCORED = "drones and seeds|score, s|of each seed, s|time, s|finished"
@@ -128,12 +92,3 @@ TABLES = {
     "effects": Table("interventions", "from|to|trainings|saved, s", effects),
     **{name: Table(*table) for name, table in BETAFLIGHT.items()},
 }
-
-
-def cell(row: Tree, column: str) -> str:
-    """The text of a row in a column."""
-    if column in COLUMNS:
-        return COLUMNS[column](row)
-    if isinstance(value := row[column], list):
-        return spread(value)
-    return f"{value:.2f}" if isinstance(value, float) else str(value)

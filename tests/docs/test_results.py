@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 import quadjax
-from benchmarks import lap_rows, pages, results, rows, tables
+from benchmarks import columns, lap_rows, pages, results, rows, tables
 from benchmarks.settings import NO_EFFECT, SETTINGS, hash_of, plain
 from quadjax.core.errors import InputError
 from quadjax.core.section_keys import value_at
@@ -51,7 +51,7 @@ def test_a_page_follows_the_rows():
 
 def test_a_column_may_be_a_key_of_the_row():
     row = {"of seeds": [1.0, 3.0, 2.0], "of one": 0.125, "count": 7, "word": "none"}
-    cells = [tables.cell(row, column) for column in row]
+    cells = [columns.cell(row, column) for column in row]
     assert cells == ["2.00 (1.00-3.00)", "0.12", "7", "none"]
 
 
@@ -248,7 +248,7 @@ def test_a_shipped_policy_is_flown(monkeypatch):
         flown.append((race.rules.gate_frame, options))
         numbers = SimpleNamespace(total=float("nan"), finished=0, runs=100)
         return type("Flown", (dict,), {"rows": [numbers]})(
-            dict.fromkeys(tables.CONDITIONS, numbers)
+            dict.fromkeys(columns.CONDITIONS, numbers)
         )
 
     monkeypatch.setattr(quadjax, "evaluate", evaluate)

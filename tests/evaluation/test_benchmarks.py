@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from benchmarks import rows, speed
+from benchmarks.best_laps import read_best
 from benchmarks.drones import draw_drones, reachable
 from benchmarks.probe import quantities, r_squared
 from benchmarks.ship import median_of, trained
-from benchmarks.tracks import cell, read_best
+from benchmarks.tracks import cell
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
