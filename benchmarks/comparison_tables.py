@@ -9,7 +9,7 @@ from benchmarks.steps import CHANGES, PRESETS
 from quadjax.evaluation.leads import Leads, leads, totals
 
 FAILED_AFTER = 35.0  # s: what a flight that does not finish counts as
-SCOPES = {"all": "one for all drones", "each": "one for each drone"}
+SCOPES = {"all": "one for all", "each": "one for each"}
 
 
 def flights(rows: Iterable[Tree]) -> np.ndarray:

@@ -49,10 +49,10 @@ def test_flights_are_of_drones_and_of_the_seeds_that_all_drones_have():
 def test_a_flight_that_does_not_finish_counts_as_35_s():
     lines = contenders({"tournament": ALL + EACH})
     assert [line["contender"] for line in lines] == [
-        "E2E, one for all drones",
-        "INDI, one for all drones",
-        "E2E, one for each drone",
-        "INDI, one for each drone",
+        "E2E, one for all",
+        "INDI, one for all",
+        "E2E, one for each",
+        "INDI, one for each",
     ]
     first = lines[0]
     assert first["score, s"] == pytest.approx((3 + 4 + 4 + 35 + 3 + 3 + 4 + 4) / 8)
