@@ -10,6 +10,7 @@ from quadjax.core.files import write_bytes
 from quadjax.export.compiler import host
 from quadjax.export.conversion import Converted
 from quadjax.export.library import EXACT, VEHICLE, pointers
+from quadjax.flights.flight import Signal
 
 HERE = Path(__file__).parent
 SYSTEM = ("stdbool.h", "stddef.h", "stdint.h", "math.h")
@@ -87,3 +88,7 @@ class Firmware:
     def outside(self) -> list[str]:
         """Inputs outside their range, which the glue does not tell."""
         return []
+
+    def signals(self) -> dict[str, Signal]:
+        """What it logs: nothing."""
+        return {}
