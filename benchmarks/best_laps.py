@@ -58,7 +58,8 @@ def row_of(preset: str, runs: list[quadjax.Run], numbers: list[tuple[float, floa
     words = [f"track={track}", f"vehicle={files[vehicle]}"]
     row = {
         "name": f"{preset} {files[vehicle]} {track}",
-        "command": f"quadjax train {preset} {' '.join(words)}, then python -m benchmarks.tracks",
+        "command": f"quadjax train {preset} {' '.join(words)}, then "
+        f"python -m benchmarks.tracks RUN --preset {preset}",
         "config": [preset, *words],
         "seeds": [run.config.seed for run in runs],
         "lap, s": [round(lap, 3) if math.isfinite(lap) else None for lap, _ in numbers],

@@ -17,6 +17,7 @@ from benchmarks import rows
 from benchmarks.betaflight_contenders import DRONES, INDI
 from benchmarks.betaflight_steps import SIZES, lag, running, stepped, wanted
 from quadjax.cli import script
+from quadjax.sil.betaflight import lines
 
 FILE = "betaflight_response"
 GAINS = {"p_roll": 45, "p_pitch": 47, "p_yaw": 45, "d_roll": 30, "d_pitch": 34}
@@ -28,11 +29,6 @@ def gains(p: float, d: float) -> list[str]:
     """Settings of factors on the default gains."""
     factor = {"p": p, "d": d}
     return [f"{name}={round(factor[name[0]] * gain)}" for name, gain in GAINS.items()]
-
-
-def lines(settings: Sequence[str]) -> list[str]:
-    """Settings as lines of the command line."""
-    return [f"set {setting.replace('=', ' = ')}" for setting in settings]
 
 
 def measure(drone: str, settings: Sequence[str], axes: Sequence[str]) -> dict[str, Any]:

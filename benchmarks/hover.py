@@ -54,7 +54,9 @@ def hover(
         print(f"seed {seed}: {steps:,} steps in {training:.1f} s, {shares[-1]:.2f}% caught")
     row = {
         "name": " ".join([first, *words]),
-        "command": f"python -m benchmarks.hover --seeds {' '.join(map(str, seeds))}",
+        "command": " ".join(
+            ["python -m benchmarks.hover", *overrides, "--seeds", *map(str, seeds)]
+        ),
         "config": [first, *words],
         "seeds": list(seeds),
         "steps": steps,

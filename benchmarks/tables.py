@@ -29,9 +29,7 @@ class Table(NamedTuple):
     """
 
     file: str
-    columns: (
-        str  # of ``columns.COLUMNS``, or keys of the row; each may have another title: TITLE=COLUMN
-    )
+    columns: str  # of COLUMNS, or keys of the row; each may have another title: TITLE=COLUMN
     rows: Callable[[Data], list[Tree]] | None = None
 
 

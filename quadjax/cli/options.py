@@ -108,13 +108,22 @@ def by_name(option: str, texts: Sequence[str] | None) -> dict[str, float]:
     Raises:
         InputError: a name occurs twice.
     """
-    numbers: dict[str, float] = {}
+    return {name: float(digits) for name, digits in assigned(option, texts).items()}
+
+
+def assigned(option: str, texts: Sequence[str] | None) -> dict[str, str]:
+    """The values of an option's ``NAME=VALUE`` texts, by their names.
+
+    Raises:
+        InputError: a name occurs twice.
+    """
+    values: dict[str, str] = {}
     for text in texts or ():
-        name, _, digits = text.partition("=")
-        if name in numbers:
+        name, _, value = text.partition("=")
+        if name in values:
             raise InputError(f"{option} {text}: {name} has two values, allowed: one")
-        numbers[name] = float(digits)
-    return numbers
+        values[name] = value
+    return values
 
 
 def check_shares(runs: int | None, drones: int | None) -> None:

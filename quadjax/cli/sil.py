@@ -114,6 +114,7 @@ def sil(
         named = {key: value or None for key, value in faults_given.items()}
         named |= {"seed": seed or None, "runs": None if runs == 1 else runs}  # flights repeat
         opt.refuse("with --autopilot", **named, wrong_unit=wrong_unit)
+    opt.assigned("--set", settings)
     stuck_at, nans = opt.by_name("--stuck", stuck), opt.by_name("--nan", nan)
     units = tuple(wrong_unit or ())
     with loading():

@@ -135,6 +135,11 @@ class Betaflight:
         }
 
 
+def lines(settings: Sequence[str]) -> list[str]:
+    """Settings, ``NAME=VALUE``, as lines of the firmware's command line."""
+    return [f"set {setting.replace('=', ' = ', 1)}" for setting in settings]
+
+
 def exchange(firmware: Firmware, vehicle: np.ndarray | None, sticks: list[int]) -> np.ndarray:
     """The motor commands (4,) of a state and sticks; without a state, the drone is at rest."""
     now = RESTING if vehicle is None else vehicle
@@ -221,8 +226,7 @@ def betaflight_in_race(
     highest = np.maximum(np.abs(policy.command_low), np.abs(policy.command_high))[:3]
     sticks = Sticks(constants, highest)
     pilot = ExportedC(converted, work, 1.0 / config.rules.time_step)
-    lines = sticks.settings(float(constants.turning.w1))
-    lines += [f"set {setting.replace('=', ' = ', 1)}" for setting in settings]
-    with Firmware(find_firmware(), lines) as firmware:
+    own = sticks.settings(float(constants.turning.w1))
+    with Firmware(find_firmware(), [*own, *lines(settings)]) as firmware:
         check_turns(firmware, constants)
         yield drone, Betaflight(firmware, pilot, sticks, every)

@@ -214,15 +214,15 @@ def _ask(line: socket.socket, command: str) -> str:
 
 
 def check_set(command: str, answer: str) -> None:
-    """Check that the firmware has read the value of a setting as it was written.
+    """Check that the answer to ``set NAME = VALUE`` has the value as it was written.
 
     Raises:
-        InputError: another number, such as 60 of 60.7.
+        InputError: another value, such as 60 of 60.7, or none.
     """
-    name, equals, value = (part.strip() for part in command.removeprefix("set ").partition("="))
-    found = re.search(rf"{re.escape(name)} set to (.*)", answer, re.IGNORECASE)
-    if command.startswith("set ") and equals and found:
-        read = found[1].strip()
+    if command.startswith("set "):
+        name, _, value = command.removeprefix("set ").partition(" = ")
+        found = re.search(rf"{re.escape(name)} set to (.*)", answer, re.IGNORECASE)
+        read = found[1].strip() if found else "nothing"
         if read.lower() != value.lower():
             raise InputError(f"Betaflight's setting {name}={value} is read as {read}")
 

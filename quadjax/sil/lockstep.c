@@ -11,6 +11,7 @@
 #define _GNU_SOURCE
 #include <arpa/inet.h>
 #include <dlfcn.h>
+#include <errno.h>
 #include <pthread.h>
 #include <signal.h>
 #include <stdint.h>
@@ -68,6 +69,7 @@ int pthread_create(pthread_t *thread, const pthread_attr_t *attributes,
                    void *(*function)(void *), void *data) {
     int (*next)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
     NEXT("pthread_create");
+    if (threads == THREADS) return EAGAIN;
     started[threads].function = function;
     started[threads].data = data;
     return next(thread, attributes, in_turn, (void *)(long)threads++);

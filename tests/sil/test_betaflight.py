@@ -242,6 +242,7 @@ def test_options_without_effect_are_refused(options, tmp_path, capsys):
     [
         (("--set", "p_roll=60"), "--set has no effect without --autopilot"),
         (("--autopilot", "betaflight", "--set", "p_roll"), "NAME=VALUE"),
+        (("--autopilot", "betaflight", "--set", "p_roll=6", "--set", "p_roll=7"), "two values"),
         (("--autopilot", "betaflight", "--set", "p_roll=60\nsave"), "NAME=VALUE"),
     ],
 )

@@ -26,7 +26,8 @@ motors = ("127.0.0.1", int(os.environ["QUADJAX_MOTORS"]))
 if {starts}:
     state.sendto(struct.pack("3H", *ports), motors)
     command_line = line.accept()[0]
-    while command_line.recv(64) != b"save\\n":
+    while (asked := command_line.recv(64)) != b"save\\n":
+        command_line.sendall(asked.replace(b" = ", b" to ").replace(b"set p_roll", b"p_roll set"))
         command_line.sendall(b"\\n# ")
     if {saves}:
         raise SystemExit
@@ -80,6 +81,8 @@ def test_a_firmware_that_does_not_answer_is_refused_and_ended(firmware):
 def test_a_value_that_the_firmware_reads_as_another_is_refused(value):
     check_set("set p_roll = 60", "set p_roll = 60\r\np_roll set to 60\r\n# ")
     check_set("set rc_smoothing = off", "rc_smoothing set to OFF\r\n# ")
+    with pytest.raises(InputError, match="p_roll=60 is read as nothing"):
+        check_set("set p_roll = 60", "# ")
     check_set("feature AIRMODE", "AlreadyEnabled AIRMODE\r\n\r\n# ")
     with pytest.raises(InputError, match=f"p_roll={value} is read as 60"):
         check_set(f"set p_roll = {value}", f"set p_roll = {value}\r\np_roll set to 60\r\n# ")
